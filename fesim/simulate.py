@@ -158,15 +158,8 @@ def simulate(
         given = setup
     moving = given if isinstance(given, MovingSetup) else None
     ready = standing(given)
-    if ready.machine.thermal.step != case.march.step_s:
-        raise InputError(
-            f"march.step_s: {case.march.step_s:g} s, but the structure was set up for steps of "
-            f"{ready.machine.thermal.step:g} s; set it up for this case"
-        )
-    if ready.case is not case:
-        _check_shared(ready.case, case)
+    _check_fits(ready, case)
     inputs = march_inputs(case) if moving is None else axis_inputs(case)
-    _check_forces(case, ready)
     (at_zero,) = inputs.at(np.zeros(1))
     at_first = cold_drives(moving.axes if moving is not None else ())
     parts: list[_Course] = []
@@ -175,16 +168,7 @@ def simulate(
         rest = at_rest(ready.machine, at_zero)
         first = replace(rest.state, drive=at_first)
         parts.append(_kept(given, first.slip, replace(track_of(rest), drive=at_first[None])))
-    if first.model != ready.machine.thermal.model:
-        raise InputError(
-            "start: the state is of another reduced thermal model, built elsewhere; simulate from "
-            'the start, or use thermal = "full" in [march] for both'
-        )
-    if first.drive.shape != at_first.shape:
-        raise InputError(
-            "start: the state is of a machine with another drive; simulate from the start, or take "
-            "the case that it was saved with"
-        )
+    _check_state(first, ready, at_first)
     count = step_count(case.march) - first.index
     if count < (1 if start is None else 2):
         raise InputError(
@@ -209,12 +193,12 @@ def simulate(
     course = _joined(parts)
     response = _response(case, given, inputs, course)
     known = None
-    if passed is None and moving is None:
-        response.attrs.update(_unresolved(ready, course.track))
     if passed is not None:
         response.attrs.update(_spent(passed.effort))
         known = passed.effort.displacement
         state = replace(state, course=passed.now.packed(course.track.inputs[-1]))
+    elif moving is None:
+        response.attrs.update(_unresolved(ready, course.track))
     if accuracy and case.displacement is not None and moving is None:
         taken = course.track.displacement[-count:]
         marched = Marched(case, ready, COUPLINGS[case.march.coupling], start, taken)
@@ -370,24 +354,39 @@ def case_in(response: xr.Dataset, where: str, otherwise: str) -> Case:
     return case_from_data(data, f"{where}, case", Path())
 
 
-def _check_shared(of: Case, case: Case) -> None:
+def _check_fits(ready: Setup, case: Case) -> None:
     """Refuse a set-up of another case if that of this one would be refused or different."""
-    if (differing := set_up_differently(of, case)) is not None:
+    if ready.machine.thermal.step != case.march.step_s:
+        raise InputError(
+            f"march.step_s: {case.march.step_s:g} s, but the structure was set up for steps of "
+            f"{ready.machine.thermal.step:g} s; set it up for this case"
+        )
+    if ready.case is case:
+        return
+    if (differing := set_up_differently(ready.case, case)) is not None:
         raise InputError(
             f"{differing}: the structure was set up for a case in which this differs; set it up "
             "for this case"
         )
     check_one_ambient(case)
-
-
-def _check_forces(case: Case, ready: Setup) -> None:
-    assembly = ready.machine.assembly
-    if assembly is None:
-        return
-    forces = first_forces(case)
-    if not np.array_equal(forces, assembly.factors[-1 - len(forces) : -1]):
+    assembly, forces = ready.machine.assembly, first_forces(case)
+    if assembly is not None and not np.array_equal(forces, assembly.factors[-1 - len(forces) : -1]):
         raise InputError(
             "bolts: the structure was set up with other bolt forces; set it up for this case"
+        )
+
+
+def _check_state(first: State, ready: Setup, drive: np.ndarray) -> None:
+    """Refuse to begin at the state of another machine, which `drive` would not be a state of."""
+    if first.model != ready.machine.thermal.model:
+        raise InputError(
+            "start: the state is of another reduced thermal model, built elsewhere; simulate from "
+            'the start, or use thermal = "full" in [march] for both'
+        )
+    if first.drive.shape != drive.shape:
+        raise InputError(
+            "start: the state is of a machine with another drive; simulate from the start, or take "
+            "the case that it was saved with"
         )
 
 
