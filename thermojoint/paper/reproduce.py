@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -114,12 +115,10 @@ def reproduce(case: Case, out: Path, long: LongRuns | None = None) -> None:
         report("calibrating", 0, 3)
         calibrated: chain.Calibrated | None = None
         provenance: Provenance | None = None
-        try:
+        with _or_why_not(left_out, "linear", "fchs"):
             chosen_from = {name: responses[name] for name in inputs.CALIBRATION}
             calibrated, provenance = _calibrate(case, chosen_from, runs.rule)
             write_model(calibrated.model, folder / "model.json", provenance)
-        except ThermojointError as error:
-            left_out |= dict.fromkeys(("linear", "fchs"), str(error))
         roles = _roles(calibrated, responses[inputs.REFERENCE])
         responses = {name: with_roles(response, roles) for name, response in responses.items()}
         known = {name: responses[name] for name in inputs.CALIBRATION}
@@ -128,20 +127,16 @@ def reproduce(case: Case, out: Path, long: LongRuns | None = None) -> None:
         report("calibrating", 1, 3)
         lasting, steps, scenes = beside_it.result()
         steady: Model | None = None
-        try:
+        with _or_why_not(left_out, "linear-steady", "fchs-steady"):
             if isinstance(steps, ThermojointError):
                 raise steps
             seen = {name: at_sensors(response, roles) for name, response in steps.items()}
             steady = _steady(case, seen, folder)
-        except ThermojointError as error:
-            left_out |= dict.fromkeys(("linear-steady", "fchs-steady"), str(error))
         axes = moving_axes(known[inputs.REFERENCE], _others(known))
         baselines: Baselines | None = None
-        try:
+        with _or_why_not(left_out, "mlr", "ridge", "arx"):
             baselines = fit_baselines([response.sel(axis=axes) for response in known.values()])
             write_baselines(baselines, folder / "baselines.json")
-        except ThermojointError as error:
-            left_out |= dict.fromkeys(("mlr", "ridge", "arx"), str(error))
         tables: dict[str, Any] | None = None
         if calibrated is not None and provenance is not None:
             tables = tables_json(calibrated.model, provenance)
@@ -196,6 +191,15 @@ def reproduce(case: Case, out: Path, long: LongRuns | None = None) -> None:
         )
         write_text(folder / "report.html", report_html(data))
     show(console.out(), data)
+
+
+@contextmanager
+def _or_why_not(left_out: dict[str, str], *methods: str) -> Iterator[None]:
+    """Note the reason for leaving out these methods if the block cannot have them."""
+    try:
+        yield
+    except ThermojointError as error:
+        left_out |= dict.fromkeys(methods, str(error))
 
 
 def _roles(calibrated: chain.Calibrated | None, reference: xr.Dataset) -> dict[str, str]:
