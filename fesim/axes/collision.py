@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -12,7 +13,7 @@ from fesim.case.schema import Case, step_count
 from fesim.setup.parts import Parts, unit_direction
 from meshes.pairing import FACING, PairedJoint
 from meshes.travel import PARALLEL
-from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.arrays import Array, Flags
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.units import MILLI
 
@@ -20,24 +21,90 @@ from thermojoint.artefacts.units import MILLI
 SLACK = 1e-3
 
 
-def check_collisions(case: Case, parts: Parts, courses: Sequence[History]) -> None:
-    """Refuse parallel axes whose pads cover the same part of a guide at one time of the march.
+@dataclass(frozen=True, eq=False)
+class Wanted:
+    """Where axes are to be: during the march, and where results are requested besides."""
 
-    Parameters
-    ----------
-    case, parts
-        The case and its parts.
-    courses : sequence of History
-        Position of each axis, m.
+    #: Position of each axis in the march, m.
+    courses: Sequence[History]
+    #: Shape (k,) each: positions of each axis at which displacements are requested, m.
+    asked: Sequence[Array]
+    #: Shape (v, a): combinations of positions at which results are requested, m.
+    volume: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Pair:
+    """Joints of two parallel axes on one guide."""
+
+    joints: tuple[str, str]
+    #: Indices of the axes; positions in the mesh, m; whether both count in one direction.
+    axes: tuple[int, int]
+    zeros: tuple[float, float]
+    side: float
+    #: Shape (n, 2): intervals of `between` in which the pads of the joints cover each other, m.
+    covering: Array
+
+    def between(self, first: Array, second: Array) -> Array:
+        """Displacement of the first axis from the second at their positions, m."""
+        return first - self.zeros[0] - self.side * (second - self.zeros[1])
+
+    def met(self, low: Array, high: Array) -> Flags:
+        """Whether the pads cover each other somewhere between displacements, (k,) each, m."""
+        found = np.zeros(low.shape, dtype=np.bool_)
+        for least, most in self.covering:
+            found |= (low < most) & (high > least)
+        return found
+
+
+def check_collisions(case: Case, parts: Parts, wanted: Wanted) -> None:
+    """Refuse parallel axes whose pads cover the same part of a guide at one time.
+
+    Results at a position of an axis are those with the others wherever they are in the march.
 
     Raises
     ------
     InputError
-        Pads of two axes are at one place at one time.
+        Pads of two axes are at one place at one time, or would be where results are requested.
     """
-    surfaces, joints = parts.structure.surfaces, parts.structure.joints
     end = case.march.step_s * step_count(case.march)
-    course_of = dict(zip(case.axes, courses, strict=True))
+    names = list(case.axes)
+    for pair in _pairs(case, parts):
+        both = "the pads of joints {!r} and {!r} cover the same part of their guide".format(
+            *pair.joints
+        )
+        courses = [wanted.courses[at] for at in pair.axes]
+        knots = common_knots(courses)
+        times = np.append(knots[knots < end], end)
+        first, second = (course(times) for course in courses)
+        # From knot to knot every value between is taken.
+        moved = pair.between(first, second)
+        met = pair.met(np.minimum.accumulate(moved), np.maximum.accumulate(moved))
+        if met.any():
+            raise InputError(
+                f"axes: by {times[np.argmax(met)]:.6g} s, {both}, where both would count; correct "
+                f"the positions of axes {names[pair.axes[0]]!r} and {names[pair.axes[1]]!r}"
+            )
+        for k, (at, there) in enumerate(zip(pair.axes, (second, first), strict=True)):
+            asked, ends = wanted.asked[at], np.array([there.min(), there.max()])
+            places = (asked[:, None], ends)[:: 1 - 2 * k]
+            moved = np.sort(pair.between(*places), axis=1)
+            met = pair.met(*moved.T)
+            if met.any():
+                raise InputError(
+                    f"axes.{names[at]}.asked_mm: at {asked[np.argmax(met)] / MILLI:g} mm, {both} "
+                    "in the march; ask for positions that the other axis leaves free"
+                )
+        moved = pair.between(*wanted.volume[:, pair.axes].T)
+        if (met := pair.met(moved, moved)).any():
+            point = wanted.volume[np.argmax(met)] / MILLI
+            shown = ", ".join(f"{name} = {x:g}" for name, x in zip(names, point, strict=True))
+            raise InputError(f"volume: at {shown} mm, {both}; leave this point out")
+
+
+def _pairs(case: Case, parts: Parts) -> Iterator[_Pair]:
+    """Yield the joints of parallel axes on one guide, whose pads may meet."""
+    surfaces, joints, names = parts.structure.surfaces, parts.structure.joints, list(case.axes)
     riding = [(joint, axis) for joint in parts.joints if (axis := case.joints[joint.name].axis)]
     for (one, axis), (other, another) in combinations(riding, 2):
         along, also = (unit_direction(case.axes[name]) for name in (axis, another))
@@ -45,24 +112,14 @@ def check_collisions(case: Case, parts: Parts, courses: Sequence[History]) -> No
         apart = not np.isin(guide, also_guide).any()
         if axis == another or apart or np.linalg.norm(np.cross(along, also)) > PARALLEL:
             continue
-        knots = common_knots([course_of[axis], course_of[another]])
-        times = np.append(knots[knots < end], end)
-        first, second = (
-            course_of[name](times) - MILLI * case.axes[name].mesh_position_mm
-            for name in (axis, another)
+        first, second = (MILLI * case.axes[name].mesh_position_mm for name in (axis, another))
+        yield _Pair(
+            (one.name, other.name),
+            (names.index(axis), names.index(another)),
+            (first, second),
+            float(also @ along),
+            _covering(one, other, along),
         )
-        # From knot to knot every value between is taken.
-        moved = first - float(also @ along) * second
-        low, high = np.minimum.accumulate(moved), np.maximum.accumulate(moved)
-        met = np.zeros(len(times), dtype=bool)
-        for least, most in _covering(one, other, along):
-            met |= (low < most) & (high > least)
-        if met.any():
-            raise InputError(
-                f"axes: by {times[np.argmax(met)]:.6g} s, the pads of joints {one.name!r} and "
-                f"{other.name!r} cover the same part of their guide, where both would count; "
-                f"correct the positions of axes {axis!r} and {another!r}"
-            )
 
 
 def _covering(one: PairedJoint, other: PairedJoint, along: Array) -> Array:

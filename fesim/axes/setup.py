@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array, kron, vstack
 
 from fesim.axes.axis import Axis, Volume
-from fesim.axes.collision import check_collisions
+from fesim.axes.collision import Wanted, check_collisions
 from fesim.axes.condensation import TiedCondensations, Ties, condense_apart
 from fesim.axes.guideway import GuideStations, Guideway
 from fesim.axes.machine import MovingMachine
@@ -104,7 +104,8 @@ def set_up_axes(case: Case) -> MovingSetup:
         warnings.warn(line, stacklevel=2)
     _check_guides(case, parts)
     _check_seats(case, parts)
-    check_collisions(case, parts, courses)
+    asked = [asked_positions(axis) for axis in case.axes.values()]
+    check_collisions(case, parts, Wanted(courses, asked, volume_of(case).places))
     with explained_by_size(parts.structure):
         whole = discretised(case, parts)
         moving, modes = _moving(whole, cache_keys(case, before))

@@ -3,8 +3,8 @@
 import pytest
 from boxes import boxes
 
-from fesim.axes.collision import check_collisions
-from fesim.axes.setup import course_of
+from fesim.axes.collision import Wanted, check_collisions
+from fesim.axes.setup import asked_positions, course_of, volume_of
 from fesim.case.schema import case_from_data
 from fesim.setup.parts import make_parts
 from meshes.exchange import write_structure
@@ -37,19 +37,22 @@ def folder(tmp_path_factory):
     return folder
 
 
-def check(folder, near, far, direction=1.0):
-    """Check the slides along courses of (s, mm); that of `far` counts against its direction."""
+def check(folder, near, far, direction=1.0, volume=None, asked=None):
+    """Check the slides along courses of (s, mm); that of `far` counts against its direction.
+
+    `asked` are the positions of each slide at which results are wanted, by default 0 and 1 mm.
+    """
     axes = {}
     for name, rows in {"near": near, "far": [(t, direction * x) for t, x in far]}.items():
         text = "".join(f"{time},{place}\n" for time, place in rows)
         (folder / f"{name}.csv").write_text("time_s,position_mm\n" + text)
-        places = [place for _, place in rows]
         axes[name] = {
             "bodies": [name],
             "direction": [1.0 if name == "near" else direction, 0.0, 0.0],
-            "stroke_mm": [min(0.0, *places), max(1.0, *places)],
+            "stroke_mm": [-400.0, 400.0],
             "station_mm": 20.0,
             "file": f"{name}.csv",
+            "asked_mm": (asked or {}).get(name, [0.0, 1.0]),
         }
     spring = {"stiffness_N_um": [50.0, 0.0, 50.0]}
     data = {
@@ -67,16 +70,18 @@ def check(folder, near, far, direction=1.0):
         "heat_input": {"kind": "step", "level": 1.0},
         "march": {"step_s": 20.0, "duration_min": 3.0},
         "displacement": {"point": "tool"},
+        **({} if volume is None else {"volume": {"points_mm": [volume]}}),
         "probes": {"tool": {"position_mm": [30.0, 40.0, 0.0], "body": "near"}},
     }
     case = case_from_data(data, "slides", folder)
     courses = [course_of(axis, name) for name, axis in case.axes.items()]
-    check_collisions(case, make_parts(case), courses)
+    places = [asked_positions(axis) for axis in case.axes.values()]
+    check_collisions(case, make_parts(case), Wanted(courses, places, volume_of(case).places))
 
 
 def test_slides_that_follow_each_other_or_touch_share_a_guide(folder):
     check(folder, [(0, 0), (100, 240), (180, 0)], [(0, 0), (180, 0)])
-    check(folder, [(0, 0), (180, 340)], [(0, 0), (180, 340)])
+    check(folder, [(0, 0), (180, 340)], [(0, 0), (180, 340)], asked={"far": [100.0, 340.0]})
 
 
 @pytest.mark.parametrize("direction", [1.0, -1.0])
@@ -92,3 +97,27 @@ def test_slides_that_pass_through_each_other_between_two_times_are_refused(folde
 
 def test_what_happens_after_the_march_is_not_refused(folder):
     check(folder, [(0, 0), (180, 0), (300, 300)], [(0, 0), (180, 0)])
+
+
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_results_are_refused_where_one_slide_would_stand_on_the_other(folder, direction):
+    """The far slide leaves 240 mm free at first, and 120 at the end."""
+    stands, leaves = [(0, 0), (180, 0)], [(0, 0), (180, -120)]
+
+    def wanted(volume=None, **asked):
+        placed = {name: [0.0, direction * -1.0 if name == "far" else 1.0] for name in SLIDES}
+        check(folder, stands, leaves, direction, volume, placed | asked)
+
+    wanted(near=[0.0, 120.0])
+    with pytest.raises(InputError, match=r"axes\.near\.asked_mm: at 200 mm, the pads of joints"):
+        wanted(near=[0.0, 200.0])
+    with pytest.raises(InputError, match=r"axes\.far\.asked_mm: at -?120 mm, the pads"):
+        check(
+            folder,
+            [(0, 0), (180, 130)],
+            stands,
+            direction,
+            asked={"far": [direction * -120.0, 0.0]},
+        )
+    with pytest.raises(InputError, match=r"volume: at near = 200, far = -?120 mm, the pads"):
+        wanted({"near": 200.0, "far": direction * -120.0})
