@@ -147,6 +147,8 @@ def test_what_a_clock_did_is_said():
         "",
         "NaN",
         "-9999,0",
+        "-999",
+        "-999,9",
         "3276,7",
         "Fehler",
     ],
@@ -160,6 +162,11 @@ def test_what_is_no_reading_is_missing_and_counted(cell):
 def test_a_spindle_may_turn_at_9999():
     log = read("time_s,n_rpm,x_um\n0,9999,9999\n1,-9999,1\n")
     np.testing.assert_array_equal(np.isnan(log.values), [[False, True], [True, False]])
+
+
+def test_only_a_temperature_cannot_be_below_absolute_zero():
+    log = read("time_s,T1_degC,n_rpm,x_um,P_W\n0,-459,-999,-999,-999\n1,-460,-999,-999,-999\n")
+    np.testing.assert_array_equal(np.isnan(log.values), [[False] * 4, [True] + 3 * [False]])
 
 
 @pytest.mark.parametrize(("cell", "speed"), [("20,125", 1500.0), ("20.125", 1.5)])

@@ -136,7 +136,7 @@ def test_a_sample_that_no_estimator_can_use_counts_and_changes_no_estimate(model
     assert again.latest.quality is machine.latest.quality
 
 
-@pytest.mark.parametrize("value", [9.9e37, -1e6, 9999.0, -3276.8, math.inf, math.nan])
+@pytest.mark.parametrize("value", [9.9e37, -1e6, 9999.0, -3276.8, -999.0, math.inf, math.nan])
 def test_what_is_no_temperature_is_a_missing_reading(model, value):
     assert math.isnan(model.intake.usable((value, *readings(1)[1:]))[0])
 

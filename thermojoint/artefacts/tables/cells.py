@@ -32,7 +32,9 @@ MISSING = frozenset(_MISSING_WORDS.split())
 _SIGNS = re.compile(r"[-–—*?_.]+|[+-]?(?:inf|infinity|ol|ovl|over)", re.IGNORECASE)
 #: Larger values mean that an instrument is out of range (an open thermocouple reads 9.9e37).
 _OVERFLOW = 1e30
-#: Error values are at least this large.
+#: Absolute zero in °F: in no unit is a temperature, or a rise, lower.
+_ABSOLUTE_ZERO = -459.67
+#: Error values of other quantities are at least this large.
 _LEAST_ERROR = 3000.0
 #: Limit on the magnitude of temperatures, in K, °C or °F.
 LARGEST_TEMPERATURE = 5000.0
@@ -146,9 +148,14 @@ def numbers(cells: Sequence[str], decimal: str) -> Numbers:
 
 def is_error_value(value: float, quantity: str) -> bool:
     """Whether a number, in the unit of the reading, is an error value of a logger."""
-    if not abs(value) > _LEAST_ERROR:
+    if not abs(value) > _least_error(quantity):
         return False
     return bool(np.isnan(without_error_values(np.array([value]), quantity)[0][0]))
+
+
+def _least_error(quantity: str) -> float:
+    """Return the magnitude that no error value of a quantity is below."""
+    return -_ABSOLUTE_ZERO if quantity == "temperature" else _LEAST_ERROR
 
 
 def without_error_values(values: Array, quantity: str) -> tuple[Array, Counter[str]]:
@@ -163,13 +170,13 @@ def without_error_values(values: Array, quantity: str) -> tuple[Array, Counter[s
         thermal displacement may not.
     """
     size = np.abs(values)
-    if not (size > _LEAST_ERROR).any():  # NaN is not
+    if not (size > _least_error(quantity)).any():  # NaN is not
         return values, Counter()
     wrong = size > _OVERFLOW
     if quantity in ("temperature", "length"):
         wrong |= np.isin(values, (*_NINES, *_COUNTS))
         if quantity == "temperature":
-            wrong |= size > LARGEST_TEMPERATURE
+            wrong |= (size > LARGEST_TEMPERATURE) | (values < _ABSOLUTE_ZERO)
     else:
         wrong |= np.isin(values, _NEVER)
     counts = Counter(f"{value:.6g}" for value in values[wrong].tolist())
