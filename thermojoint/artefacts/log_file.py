@@ -8,13 +8,16 @@ that are stored.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log, joined
+from thermojoint.artefacts.log_record import moment_text, moved, with_times
 from thermojoint.artefacts.quantities import UNITS, column_named
 from thermojoint.artefacts.settings.toml import parse, read_text
 from thermojoint.artefacts.tables.pieces import ROWS, pieces_in
@@ -62,8 +65,8 @@ def read_log(paths: Sequence[Path], renamed: Mapping[str, str] | None = None) ->
     InputError
         A file is missing or not a table, has no clock, has columns other than the first file, a
         row whose length differs from the header's, a cell that is neither a number nor a missing
-        reading, a clock that goes back, rows that contradict each other, or values in °C that
-        look like kelvin.
+        reading, a clock that goes back, rows that contradict each other, the hours of another file,
+        or values in °C that look like kelvin.
     """
     return joined(log_pieces(paths, renamed))
 
@@ -71,15 +74,55 @@ def read_log(paths: Sequence[Path], renamed: Mapping[str, str] | None = None) ->
 def log_pieces(paths: Sequence[Path], renamed: Mapping[str, str] | None = None) -> Iterator[Log]:
     """Yield the samples of files in pieces of at most `ROWS`; see `read_log`.
 
-    Files with the same content are read once.
+    Files with the same content are read once. A change of summer time in a file also holds in the
+    later ones.
     """
+    before: Log | None = None
     for path, note in _in_order(paths, renamed):
-        for k, piece in enumerate(_pieces_in_file(path, renamed, ROWS)):
+        for k, piece in enumerate(_after(before, _pieces_in_file(path, renamed, ROWS))):
+            before = piece if piece.records[0].dated else before
             notes = (note,) if note and not k else ()
             records = tuple(
                 replace(record, notes=(*record.notes, *notes)) for record in piece.records
             )
             yield replace(piece, records=records)
+
+
+def _after(before: Log | None, pieces: Iterable[Log]) -> Iterator[Log]:
+    """Yield the pieces of a file after the last piece with dates of the files before it, if any."""
+    for k, piece in enumerate(pieces):
+        (record,) = piece.records
+        if before is None or not record.dated:
+            yield piece
+            continue
+        shift = before.records[0].shift
+        later = replace(piece, times=piece.times + shift, records=(moved(record, shift),))
+        if k or later.times[0] > before.times[-1]:
+            yield later
+        else:
+            yield from _without_repeated(before, later)
+
+
+def _without_repeated(before: Log, piece: Log) -> Iterator[Log]:
+    """Yield the first piece of a file without its first row, which ended the file before it.
+
+    Raises
+    ------
+    InputError
+        It begins with another row, so that the hours of both files would count twice.
+    """
+    (record,), (other,) = piece.records, before.records
+    same = np.array_equal(piece.values[0], before.values[-1], equal_nan=True)
+    if piece.times[0] != before.times[-1] or not same:
+        begin, end = (moment_text(record, time) for time in (record.first, other.last))
+        raise InputError(
+            f"{record.where}: begins at {begin}, before {other.where} ends at {end}; the same "
+            "hours would count twice: leave one file out, or drop the rows that are in both"
+        )
+    if len(piece.times) > 1:
+        times = piece.times[1:]
+        record = with_times(replace(record, twice=record.twice + 1), times, -np.inf)
+        yield replace(piece.part(slice(1, None)), records=(record,))
 
 
 def _pieces_in_file(path: Path, renamed: Mapping[str, str] | None, rows: int) -> Iterator[Log]:

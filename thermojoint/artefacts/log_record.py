@@ -33,6 +33,8 @@ class Record:
     ignored: tuple[str, ...] = ()
     #: Whether times are s since 1970.
     dated: bool = False
+    #: Shift of the last row by changes of summer time, s.
+    shift: float = 0.0
     #: Number of rows used.
     rows: int = 0
     #: Time of the first and of the last row, s.
@@ -83,6 +85,17 @@ def with_times(record: Record, times: Array, last: float) -> Record:
     )
 
 
+def moved(record: Record, seconds: float) -> Record:
+    """Return a record of rows that are later by a number of seconds."""
+    return replace(
+        record,
+        shift=record.shift + seconds,
+        first=record.first + seconds,
+        last=record.last + seconds,
+        pauses=tuple((begin + seconds, end + seconds) for begin, end in record.pauses),
+    )
+
+
 def merged(records: Iterable[Record]) -> tuple[Record, ...]:
     """Return one record for each file from the records of its parts, in the order of reading."""
     records_by_file: dict[str, Record] = {}
@@ -98,6 +111,7 @@ def _both(record: Record, more: Record) -> Record:
         rows=record.rows + more.rows,
         first=record.first if record.rows else more.first,
         last=more.last if more.rows else record.last,
+        shift=more.shift if more.rows else record.shift,
         interval=record.interval if record.interval > 0.0 else more.interval,
         pauses=record.pauses + more.pauses,
         missing=Counter(record.missing) + Counter(more.missing),

@@ -218,6 +218,42 @@ def test_files_are_put_in_the_order_of_their_dates_and_read_once(tmp_path):
     assert "given as file 2, read as file 1, sorted by time" in text
 
 
+def files_of(folder, *contents):
+    paths = [folder / f"{k}.csv" for k in range(1, 1 + len(contents))]
+    for path, content in zip(paths, contents, strict=True):
+        path.write_text(content)
+    return paths
+
+
+@pytest.mark.parametrize("second", ["06:01:00Z;1\n2026-03-02T06:03", "06:02;0\n2026-03-02T06:03"])
+def test_files_of_the_same_hours_are_refused(tmp_path, second):
+    """Their rows would count twice, and be held out from their own doubles."""
+    first = "time;x_um\n2026-03-02T06:00;0\n2026-03-02T06:01;1\n2026-03-02T06:02;1\n"
+    paths = files_of(tmp_path, first, f"time;x_um\n2026-03-02T{second};2\n")
+    for order in (paths, paths[::-1]):
+        with pytest.raises(InputError, match=r"2\.csv: begins at .*, before .*1\.csv ends"):
+            read_log(order)
+
+
+def test_a_file_may_begin_with_the_last_row_of_the_file_before_it(tmp_path):
+    first = "time;x_um\n2026-03-02T06:00;0\n2026-03-02T06:01;1\n"
+    log = read_log(files_of(tmp_path, first, "time;x_um\n2026-03-02T06:01;1\n2026-03-02T06:02;2\n"))
+    assert np.diff(log.times).tolist() == [60.0, 60.0]
+    assert log.starts == (0,)
+    assert "repeated rows, dropped: 1" in said(log)
+
+
+def test_a_change_of_summer_time_holds_in_the_files_of_later_days(tmp_path):
+    autumn = ["24.10.2026 23:50", "25.10.2026 02:50", "25.10.2026 02:00", "25.10.2026 23:50"]
+    spring = ["29.03.2026 01:50", "29.03.2026 03:00", "29.03.2026 23:50"]
+    for days, name in ((autumn, "26.10.2026"), (spring, "30.03.2026")):
+        rows = "".join(f"{at}:00;{k}\n" for k, at in enumerate(days))
+        later = f"{name} 00:00:00;1\n{name} 00:10:00;2\n"
+        log = read_log(files_of(tmp_path, *(f"time;x_um\n{part}" for part in (rows, later))))
+        assert log.starts == (0,)
+        np.testing.assert_array_equal(np.diff(log.times)[-2:], [600.0, 600.0])
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

@@ -85,7 +85,8 @@ def pieces_in(
             at, twice = after, twice + section.twice
             notes = (*notes, *section.notes)
             if section.times:
-                here = replace(record, notes=notes, twice=twice)
+                shift = after.hands.shift if layout.clock.dated else 0.0
+                here = replace(record, notes=notes, twice=twice, shift=shift)
                 piece = _piece(layout, here, section)
                 yield piece
                 record = replace(record, interval=piece.records[0].interval)
