@@ -72,6 +72,24 @@ def test_sheets_and_parquet_are_the_same_log(tmp_path):
         np.testing.assert_array_equal(found.values, expected.values)
 
 
+def test_a_date_and_a_time_of_day_may_be_two_columns_of_a_sheet_or_of_parquet(tmp_path):
+    """Both formats know a date only as its midnight."""
+    openpyxl, pd = pytest.importorskip("openpyxl"), pytest.importorskip("pandas")
+    moments = [BEGIN.replace(tzinfo=None) + timedelta(hours=9 * k) for k in range(4)]
+    book = openpyxl.Workbook()
+    book.active.append(["Datum", "Uhrzeit", "x_um"])
+    for at in moments:
+        book.active.append([at.date(), at.time(), 1.0])
+    book.save(tmp_path / "log.xlsx")
+    days = pd.to_datetime([at.date() for at in moments])
+    table = {"date": days, "time": [at.time() for at in moments], "x_um": 1.0}
+    pd.DataFrame(table).to_parquet(tmp_path / "log.parquet")
+    for name in ("log.xlsx", "log.parquet"):
+        log = read_log([tmp_path / name])
+        assert log.times[0] == BEGIN.timestamp()
+        assert np.diff(log.times).tolist() == [32_400.0] * 3
+
+
 def clock(cells, name="time"):
     rows = "".join(f"{cell};{k}\n" for k, cell in enumerate(cells))
     return read(f"{name};x_um\n{rows}")

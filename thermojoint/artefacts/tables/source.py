@@ -7,7 +7,7 @@ import csv
 import io
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from datetime import datetime
+from datetime import datetime, time
 from pathlib import Path
 from typing import BinaryIO
 
@@ -148,5 +148,7 @@ def _text(cell: object) -> str:
     if cell is None:
         return ""
     if isinstance(cell, datetime):
-        return cell.isoformat(sep=" ")
+        # A date without a time of day is its midnight: a column of times may be beside it.
+        midnight = cell.tzinfo is None and cell.time() == time.min
+        return cell.date().isoformat() if midnight else cell.isoformat(sep=" ")
     return str(cell)
