@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -101,6 +101,19 @@ class Log(Described):
         for first, end in zip(self.starts, (*self.starts[1:], len(self.times)), strict=True):
             yield self.part(slice(first, end))
 
+    def with_order(self, columns: Sequence[Column]) -> Log:
+        """Return the log with its columns in the order of others; as it is if they are others.
+
+        Parameters
+        ----------
+        columns : sequence of Column
+            Columns of another log.
+        """
+        if self.columns == tuple(columns) or {*self.columns} != {*columns}:
+            return self
+        at = [self.columns.index(column) for column in columns]
+        return replace(self, columns=tuple(columns), values=self.values[:, at])
+
     def part(self, samples: slice) -> Log:
         """Return some consecutive samples of a log.
 
@@ -133,9 +146,10 @@ def joined(pieces: Iterable[Log]) -> Log:
     kept: list[Log] = []
     starts: list[int] = []
     rows = 0
-    for piece in pieces:
+    for given in pieces:
+        piece = given.with_order(kept[0].columns) if kept else given
         if kept and piece.columns != kept[0].columns:
-            other = sorted({*piece.names} ^ {*kept[0].names}) or ["in another order"]
+            other = sorted({*piece.names} ^ {*kept[0].names})
             raise InputError(
                 f"log: a file has other columns than the first ({', '.join(other)}); rename them"
             )

@@ -80,7 +80,7 @@ def log_pieces(paths: Sequence[Path], renamed: Mapping[str, str] | None = None) 
     before: Log | None = None
     for path, note in _in_order(paths, renamed):
         for k, piece in enumerate(_after(before, _pieces_in_file(path, renamed, ROWS))):
-            before = piece if piece.records[0].dated else before
+            before = piece
             notes = (note,) if note and not k else ()
             records = tuple(
                 replace(record, notes=(*record.notes, *notes)) for record in piece.records
@@ -89,10 +89,11 @@ def log_pieces(paths: Sequence[Path], renamed: Mapping[str, str] | None = None) 
 
 
 def _after(before: Log | None, pieces: Iterable[Log]) -> Iterator[Log]:
-    """Yield the pieces of a file after the last piece with dates of the files before it, if any."""
-    for k, piece in enumerate(pieces):
+    """Yield the pieces of a file after the last piece of the file before it, if there is one."""
+    for k, given in enumerate(pieces):
+        piece = given.with_order(before.columns) if before else given
         (record,) = piece.records
-        if before is None or not record.dated:
+        if before is None or not (record.dated and before.records[0].dated):
             yield piece
             continue
         shift = before.records[0].shift

@@ -261,6 +261,16 @@ def test_a_file_may_begin_with_the_last_row_of_the_file_before_it(tmp_path):
     assert "repeated rows, dropped: 1" in said(log)
 
 
+def test_files_may_have_their_columns_in_another_order(tmp_path):
+    first = "time_s,T1_degC,T2_degC,x_um\n0,20,30,1\n10,21,31,2\n"
+    log = read_log(files_of(tmp_path, first, "x_um,time_s,T2_degC,T1_degC\n3,20,32,22\n"))
+    expected = read(f"{first}20,22,32,3\n")
+    assert log.names == expected.names
+    np.testing.assert_array_equal(log.values, expected.values)
+    with pytest.raises(InputError, match=r"other columns than the first \(T2_K, T2_degC\)"):
+        read_log(files_of(tmp_path, first, "time_s,T1_degC,T2_K,x_um\n20,22,305,3\n"))
+
+
 def test_a_change_of_summer_time_holds_in_the_files_of_later_days(tmp_path):
     autumn = ["24.10.2026 23:50", "25.10.2026 02:50", "25.10.2026 02:00", "25.10.2026 23:50"]
     spring = ["29.03.2026 01:50", "29.03.2026 03:00", "29.03.2026 23:50"]
