@@ -37,3 +37,9 @@ def samples_of(
             values = np.column_stack((values, one))
         for time, row in zip(piece.times.tolist(), values.tolist(), strict=True):
             yield (time, *row)
+
+
+def named_in(names: Sequence[str], log: Log) -> list[tuple[str, str]]:
+    """Return the names that a log has, in any unit, each with the name of its column there."""
+    places = ((name, place_of(name, log.names)) for name in names)
+    return [(name, log.names[place.at]) for name, place in places if place is not None]

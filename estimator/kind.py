@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
-from estimator.columns import samples_of
+from estimator.columns import named_in, samples_of
 from estimator.intake import Intake, by_channels
 from estimator.interface import READING_NOISE, Estimator, NextReading, follow
 from estimator.judging import Conditions, Figures, judge_responses
@@ -148,7 +148,7 @@ def _judged(
 
 
 def _judged_in(case: str, estimator: OpenedEstimator, log: Log) -> JudgedIn:
-    same = [(name, name) for name in estimator.axes if name in log.names]
+    same = named_in(estimator.axes, log)
     return [(log, same)] if same else []
 
 

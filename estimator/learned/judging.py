@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimator.columns import samples_of
+from estimator.columns import named_in, samples_of
 from estimator.interface import follow
 from estimator.learned.estimator import Learned
 from estimator.lines import here
@@ -46,12 +46,12 @@ def judged_in(case: str, estimator: Learned, log: Log) -> list[tuple[Log, list[t
     InputError
         A displacement along an axis is in the log without its position.
     """
-    same = [(name, name) for name in estimator.axes if name in log.names]
+    same = named_in(estimator.axes, log)
     judged = [(log, same)] if same else []
     for channel in estimator.model.channels:
         if (slope := channel.slope) is None:
             continue
-        if channel.name in log.names and place_of(slope.position, log.names) is None:
+        if channel.name in dict(same) and place_of(slope.position, log.names) is None:
             raise InputError(
                 f"{case}: {channel.name} without {slope.position}, where it was read; record it"
             )

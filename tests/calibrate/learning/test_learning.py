@@ -46,6 +46,22 @@ def test_it_holds_on_a_day_it_has_not_seen(model):
         assert row["band_cover"] > 0.9
 
 
+def test_it_is_judged_by_a_displacement_in_another_unit(model):
+    """A log is in SI; only the name of the column tells the unit."""
+    columns = [
+        replace(one, name="x_mm", unit="mm") if one.name == "x_um" else one for one in DAY.columns
+    ]
+    other = replace(DAY, columns=tuple(columns))
+    found = judge("day", Learned(model), other)
+    assert [row["axis"] for row in found] == ["x_mm", "z_um"]
+    assert [{**row, "axis": ""} for row in found] == [
+        {**row, "axis": ""} for row in judge("day", Learned(model), DAY)
+    ]
+    assert KIND.judged_in("day", Learned(model), other) == [
+        (other, [("x_um", "x_mm"), ("z_um", "z_um")])
+    ]
+
+
 def test_held_out_estimates_have_the_error_and_the_band_that_the_model_states():
     model, held_out = learn_and_judge([LOG], AXES, 4, "linear")
     error = held_out.estimate - held_out.truth
