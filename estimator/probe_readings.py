@@ -12,7 +12,9 @@ import numpy as np
 from estimator.intake import axis_name
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.log import Log
 from thermojoint.artefacts.log_file import read_log
+from thermojoint.artefacts.log_record import check_zones
 from thermojoint.artefacts.quantities import column_named
 from thermojoint.artefacts.tables.clock import tells_date
 
@@ -32,9 +34,11 @@ def read_probe_readings(path: Path, axes: Sequence[str]) -> tuple[Array, Array]:
     Raises
     ------
     InputError
-        The file is unusable, or has no column of an axis.
+        The file is unusable, its time restarts, or it has no column of an axis.
     """
     log = read_log([path])
+    if len(log.starts) > 1:
+        raise InputError(f"{path}: time restarts; give the readings of one run")
     known = {name: k for k, column in enumerate(log.columns) for name in (column.base, column.name)}
     places = [known.get(axis, known.get(axis_name(axis))) for axis in axes]
     if all(place is None for place in places):
@@ -50,6 +54,20 @@ def read_probe_readings(path: Path, axes: Sequence[str]) -> tuple[Array, Array]:
                 )
             values[:, k] = log.values[:, place]
     return log.times, values
+
+
+def beside(pieces: Iterable[Log], readings: Path) -> Iterator[Log]:
+    """Yield the pieces of a log that is estimated with a CSV of readings.
+
+    Raises
+    ------
+    InputError
+        Only one of the clocks has a time zone.
+    """
+    for number, piece in enumerate(pieces):
+        if number == 0:
+            check_zones(read_log([readings]).records[0], piece.records[0])
+        yield piece
 
 
 def with_probe_readings(

@@ -17,7 +17,7 @@ import numpy as np
 
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log, joined
-from thermojoint.artefacts.log_record import moment_text, moved, with_times
+from thermojoint.artefacts.log_record import check_zones, moment_text, moved, with_times
 from thermojoint.artefacts.quantities import UNITS, column_named
 from thermojoint.artefacts.settings.toml import parse, read_text
 from thermojoint.artefacts.tables.pieces import ROWS, pieces_in
@@ -96,6 +96,7 @@ def _after(before: Log | None, pieces: Iterable[Log]) -> Iterator[Log]:
         if before is None or not (record.dated and before.records[0].dated):
             yield piece
             continue
+        check_zones(record, before.records[0])
         shift = before.records[0].shift
         later = replace(piece, times=piece.times + shift, records=(moved(record, shift),))
         if k or later.times[0] > before.times[-1]:

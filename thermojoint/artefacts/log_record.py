@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 import numpy as np
 
 from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.quantities import Column
 
 #: A pause is longer than this number of intervals, and than this time, s.
@@ -33,6 +34,8 @@ class Record:
     ignored: tuple[str, ...] = ()
     #: Whether times are s since 1970.
     dated: bool = False
+    #: Whether times are local, in an unknown zone.
+    local: bool = False
     #: Shift of the last row by changes of summer time, s.
     shift: float = 0.0
     #: Number of rows used.
@@ -94,6 +97,22 @@ def moved(record: Record, seconds: float) -> Record:
         last=record.last + seconds,
         pauses=tuple((begin + seconds, end + seconds) for begin, end in record.pauses),
     )
+
+
+def check_zones(record: Record, other: Record) -> None:
+    """Refuse two clocks with dates of which only one has a time zone: hours may lie between them.
+
+    Raises
+    ------
+    InputError
+        One of them shows a local time, the other does not.
+    """
+    if record.dated and other.dated and record.local != other.local:
+        one, another = (record, other) if record.local else (other, record)
+        raise InputError(
+            f"{one.where}: its clock has no time zone, that of {another.where} has; put it in "
+            "brackets behind the clock's name, like time [Europe/Berlin] or time [UTC]"
+        )
 
 
 def merged(records: Iterable[Record]) -> tuple[Record, ...]:

@@ -222,7 +222,7 @@ def estimate(  # noqa: PLR0913 - the options of a command
     """
     from estimator import measured
     from estimator.kind import Cold, Options, checked_limit
-    from estimator.probe_readings import read_probe_readings, with_probe_readings
+    from estimator.probe_readings import beside, read_probe_readings, with_probe_readings
     from estimator.registry import kind_of_file, resumed, save_state, started
     from estimator.states import read_state
     from thermojoint import console, plausibility
@@ -275,7 +275,7 @@ def estimate(  # noqa: PLR0913 - the options of a command
         else:
             samples = kind.log(
                 given,
-                pieces,
+                pieces if readings is None else beside(pieces, readings),
                 where,
                 lambda first: console.warn(plausibility.of_sample(first, where)),
                 cold,

@@ -12,8 +12,9 @@ from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.model_file import write_observer
 from estimator.joint_aware.readings import samples_in
 from estimator.joint_aware.thresholds import Thresholds
-from estimator.probe_readings import read_probe_readings, with_probe_readings
+from estimator.probe_readings import beside, read_probe_readings, with_probe_readings
 from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.log_file import log_pieces
 from thermojoint.artefacts.response import write_response
 from thermojoint.cli.app import app
 
@@ -186,6 +187,29 @@ def test_readings_name_their_axes(tmp_path):
     path.write_text("time_s,x_degC\n60,12.5\n")
     with pytest.raises(InputError, match=r"x_degC is a temperature"):
         read_probe_readings(path, ("x", "y"))
+
+
+def test_readings_of_two_runs_are_refused(tmp_path):
+    path = tmp_path / "probe.csv"
+    path.write_text("time_s,x_um\n60,1\n120,2\n180,2\n60,1\n")
+    with pytest.raises(InputError, match="time restarts; give the readings of one run"):
+        read_probe_readings(path, ("x",))
+
+
+@pytest.mark.parametrize("clock", ["time", "time [Europe/Berlin]"])
+def test_readings_in_local_time_are_not_taken_as_those_of_another_zone(tmp_path, clock):
+    """In summer a reading of a log in UTC was used two hours late."""
+    readings, log = tmp_path / "probe.csv", tmp_path / "log.csv"
+    readings.write_text(f"{clock},x_um\n2026-06-01 08:00:00,1\n")
+    log.write_text("time,T1_degC\n2026-06-01T06:00:00Z,20\n")
+    pieces = beside(log_pieces([log]), readings)
+    if clock == "time":
+        with pytest.raises(
+            InputError, match=r"probe\.csv: its clock has no time zone, that of .*log"
+        ):
+            list(pieces)
+    else:
+        assert [piece.times[0] for piece in pieces] == read_probe_readings(readings, ("x",))[0]
 
 
 def test_a_reading_in_another_unit_than_the_column_of_its_axis_is_one(tmp_path):

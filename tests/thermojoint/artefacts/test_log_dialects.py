@@ -243,7 +243,7 @@ def files_of(folder, *contents):
     return paths
 
 
-@pytest.mark.parametrize("second", ["06:01:00Z;1\n2026-03-02T06:03", "06:02;0\n2026-03-02T06:03"])
+@pytest.mark.parametrize("second", ["06:01:00;1\n2026-03-02T06:03", "06:02;0\n2026-03-02T06:03"])
 def test_files_of_the_same_hours_are_refused(tmp_path, second):
     """Their rows would count twice, and be held out from their own doubles."""
     first = "time;x_um\n2026-03-02T06:00;0\n2026-03-02T06:01;1\n2026-03-02T06:02;1\n"
@@ -269,6 +269,16 @@ def test_files_may_have_their_columns_in_another_order(tmp_path):
     np.testing.assert_array_equal(log.values, expected.values)
     with pytest.raises(InputError, match=r"other columns than the first \(T2_K, T2_degC\)"):
         read_log(files_of(tmp_path, first, "time_s,T1_degC,T2_K,x_um\n20,22,305,3\n"))
+
+
+def test_files_with_and_without_a_time_zone_are_not_one_log(tmp_path):
+    paths = files_of(tmp_path, "time;x_um\n02.03.2026 06:00;0\n", "timestamp;x_um\n1772439000;1\n")
+    with pytest.raises(
+        InputError, match=r"1\.csv: its clock has no time zone, that of .*2\.csv has"
+    ):
+        read_log(paths)
+    paths[0].write_text("time [Europe/Berlin];x_um\n02.03.2026 06:00;0\n")
+    assert np.diff(read_log(paths).times).tolist() == [1772439000 - 1772427600]
 
 
 def test_a_change_of_summer_time_holds_in_the_files_of_later_days(tmp_path):

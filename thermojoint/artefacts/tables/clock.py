@@ -90,6 +90,8 @@ class Clock:
     order: str = ""
     #: Time zone of cells without one; None if it is unknown: they are taken as UTC.
     zone: tzinfo | None = None
+    #: Whether it shows a local time in an unknown zone.
+    local: bool = False
 
     @property
     def shown(self) -> str:
@@ -148,7 +150,8 @@ def clock_of(
             return clocks[form][0][1], ""
     if "date" in clocks and "time of day" in clocks:
         (first, date), (second, day) = clocks["date"][0], clocks["time of day"][0]
-        return replace(date, columns=(first, second), form="stamp", zone=date.zone or day.zone), ""
+        zone, local = date.zone or day.zone, date.local and day.local
+        return replace(date, columns=(first, second), form="stamp", zone=zone, local=local), ""
     for form in ("number", "time of day"):
         if form in clocks:
             dated = [clock for _, clock in clocks[form] if clock.dated]
@@ -183,7 +186,8 @@ def _clock_in(index: int, name: str, cells: Sequence[str], decimal: str) -> Cloc
     with_time = any(part["hour"] for part in parts)
     form = ("stamp" if with_time else "date") if parts[0]["a"] else "time of day"
     order = _order([part for part in parts if part["a"]])
-    return Clock((index,), form, form != "time of day", order=order, zone=zone)
+    local = zone is None and not any(part["zone"] for part in parts)
+    return Clock((index,), form, form != "time of day", order=order, zone=zone, local=local)
 
 
 def _plain_number(index: int, values: Sequence[float]) -> Clock | None:
@@ -193,7 +197,7 @@ def _plain_number(index: int, values: Sequence[float]) -> Clock | None:
         if low < least and most < high:
             return Clock((index,), "number", dated=True, divisor=divisor)
     if _DAYS[0] < least and most < _DAYS[1] and most - least < len(values):
-        return Clock((index,), "excel", dated=True)
+        return Clock((index,), "excel", dated=True, local=True)
     return None
 
 

@@ -75,7 +75,10 @@ def pieces_in(
     """
     source = iter(lines)
     layout, head = _begun(source, where, renamed or {}, HEAD if rows > 1 else 1)
-    record = Record(where, layout.form, layout.columns, layout.ignored, layout.clock.dated)
+    clock = layout.clock
+    record = Record(
+        where, layout.form, layout.columns, layout.ignored, clock.dated, local=clock.local
+    )
     notes, at, twice = layout.notes, _At(), 0
     body = rows_of(chain(head[layout.dialect.first :], source), layout.dialect, where)
     while part := list(islice(body, rows)):
@@ -85,7 +88,7 @@ def pieces_in(
             at, twice = after, twice + section.twice
             notes = (*notes, *section.notes)
             if section.times:
-                shift = after.hands.shift if layout.clock.dated else 0.0
+                shift = after.hands.shift if clock.dated else 0.0
                 here = replace(record, notes=notes, twice=twice, shift=shift)
                 piece = _piece(layout, here, section)
                 yield piece
