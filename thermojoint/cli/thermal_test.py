@@ -86,7 +86,7 @@ def iso230_3(  # noqa: PLR0913 - the options of a command
     from thermojoint.standards.iso230_3 import report
     from thermojoint.standards.iso230_3.evaluation import evaluate, with_uncertainties
     from thermojoint.standards.iso230_3.instruments import Instruments, read_instruments
-    from thermojoint.standards.iso230_3.period import runs_at_first
+    from thermojoint.standards.iso230_3.period import longest_unread, runs_at_first
 
     arguments.check_outputs(
         {
@@ -132,6 +132,15 @@ def iso230_3(  # noqa: PLR0913 - the options of a command
                 f"{given}: the machine already runs in the first reading, so growth before it is "
                 "missing from the parameters; start the record earlier, or give --begin-min if "
                 "the run begins there"
+            ]
+        )
+    if read:
+        console.warn(
+            [
+                f"{given}: {', '.join(names)}: not read from {gap.begin / 60.0:.4g} to "
+                f"{gap.end / 60.0:.4g} min of the record; an extreme in between is missing from "
+                "the parameters; repeat the test, or leave the channel out"
+                for gap, names in longest_unread(record, evaluation.period).items()
             ]
         )
     results.show_test(console.out(parameters), test.heading, content)

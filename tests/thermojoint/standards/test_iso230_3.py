@@ -352,6 +352,19 @@ def test_a_log_that_begins_while_the_machine_runs_is_warned_of(command, log, tmp
     assert warning not in command("iso230-3", log, *spindle)[2]
 
 
+def test_a_channel_that_was_not_read_for_long_is_warned_of(command, log, tmp_path):
+    """Its extreme may lie in that time; here the highest reading is lost, 98 of 100 um."""
+    head, *rows = log.read_text().splitlines()
+    holed, said = tmp_path / "holed.csv", "front: not read from 60 to 280.5 min of the record"
+    for first, last, warned in ((121, 561, True), (121, 125, False), (0, 40, False)):
+        cells = [row.split(",") for row in rows]
+        for row in cells[first:last]:
+            row[2] = ""
+        holed.write_text("\n".join([head, *map(",".join, cells)]))
+        code, _, errors = command("iso230-3", holed, "--test", "spindle")
+        assert (code, said in errors, "not read" in errors) == (0, warned, warned)
+
+
 def test_a_column_of_another_quantity_is_refused(log):
     with pytest.raises(InputError, match="'n_rpm' is a speed, not a length"):
         log_record(read_log([log]), {"X1": "n_rpm"})

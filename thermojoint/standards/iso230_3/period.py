@@ -8,7 +8,11 @@ import numpy as np
 
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.log_record import PAUSE
 from thermojoint.standards.iso230_3.record import Record
+
+#: A shorter gap in the readings hides no extreme of a machine that warms up, s.
+_BRIDGED = 300.0
 
 
 class Period(NamedTuple):
@@ -54,6 +58,24 @@ def running(times: Array, drive: Array) -> Period:
 def runs_at_first(record: Record) -> bool:
     """Return whether the drive of a record moves in its first sample."""
     return record.drive is not None and bool(np.nan_to_num(record.drive[0]) != 0.0)
+
+
+def longest_unread(record: Record, period: Period) -> dict[Period, list[str]]:
+    """Return the longest gap in the readings of each channel that may hide an extreme, by its time.
+
+    A gap is longer than `PAUSE` usual intervals and than `_BRIDGED`, and lies in the period.
+    """
+    least = max(_BRIDGED, PAUSE * float(np.median(np.diff(record.times))))
+    found: dict[Period, list[str]] = {}
+    for channels in record.channels.values():
+        for name, values in channels.items():
+            times = record.times[np.isfinite(values)]
+            inside = (times[1:] > period.begin) & (times[:-1] < period.end)
+            gaps = np.where(inside, np.diff(times), 0.0)
+            if gaps.max(initial=0.0) > least:
+                at = int(gaps.argmax())
+                found.setdefault(Period(float(times[at]), float(times[at + 1])), []).append(name)
+    return found
 
 
 def asked_for(record: Record, usual: Period, begin: float | None, end: float | None) -> Period:
