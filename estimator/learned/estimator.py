@@ -329,6 +329,15 @@ class Learned(Described):
         return relaxed(last.relaxations, old, new, time - last.time, model.taus)
 
     @cached_property
+    def limits(self) -> list[tuple[float, float]]:
+        """Lower and upper limit of each column in the range of the log, SI."""
+        model = self.model
+        return [
+            with_slack(span) if name in model.sensors else _limits_of_heat(span)
+            for name, span in ((name, model.spans[name]) for name in model.columns)
+        ]
+
+    @cached_property
     def _possible(self) -> Array:
         """Lower and upper limits of the readings, shape (2, columns); SI."""
         return np.array(self.model.possible).T
@@ -384,8 +393,7 @@ class Learned(Described):
         status = Status.OK
         if elapsed > (1.0 + SLACK) * self.model.duration_s:
             status |= Status.BEYOND_TIME
-        for name, value in zip(self.model.columns, now, strict=True):
-            low, high = with_slack(self.model.spans[name])
+        for name, value, (low, high) in zip(self.model.columns, now, self.limits, strict=True):
             if not low <= value <= high:
                 status |= (
                     Status.BEYOND_TEMPERATURE if name in self.model.sensors else Status.BEYOND_HEAT
@@ -395,6 +403,15 @@ class Learned(Described):
             if not low <= value <= high:
                 status |= Status.BEYOND_DISPLACEMENT
         return status
+
+
+def _limits_of_heat(span: tuple[float, float]) -> tuple[float, float]:
+    """Limits of a speed or power, which heats by its magnitude, by its range in the log."""
+    low, high = span
+    if not low <= 0.0 <= high:
+        return with_slack(span)
+    _, most = with_slack((0.0, max(-low, high)))
+    return -most, most
 
 
 def _unit(name: str) -> str:

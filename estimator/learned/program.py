@@ -31,7 +31,7 @@ from estimator.export.recorded import duty_cycle
 from estimator.intake import axis_name
 from estimator.interface import Estimate, Status
 from estimator.learned.estimator import Learned
-from estimator.span import SLACK, with_slack
+from estimator.span import SLACK
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.models.learned import LARGEST, LearnedChannel, LearnedModel
@@ -128,7 +128,7 @@ def contents(estimator: Learned, interval: float) -> Contents:
             "widths": [own.within * channel.widening for channel in model.channels],
             "reaches": [own.reached(channel.span) for channel in model.channels],
             "possible": model.possible,
-            "limits": [with_slack(limits) for limits in ranges],
+            "limits": estimator.limits,
             "middles": [0.5 * (low + high) for low, high in ranges],
             "spans": ranges,
             "thermometers": [

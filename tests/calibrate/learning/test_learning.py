@@ -608,6 +608,10 @@ def test_where_the_log_has_not_been_is_said(model):
     assert words(60.0) == Status.OK
     assert Status.BEYOND_TEMPERATURE in words(60.0, **{sensor: cold[sensor] + 50.0})
     assert Status.BEYOND_HEAT in words(60.0, n_rpm=2.0 * model.spans["n_rpm"][1])
+    # It heats as much if it turns the other way.
+    fastest = model.spans["n_rpm"][1]
+    assert Status.BEYOND_HEAT not in words(60.0, n_rpm=-1.04 * fastest)
+    assert Status.BEYOND_HEAT in words(60.0, n_rpm=-1.06 * fastest)
     assert Status.BEYOND_TIME in words(10.0 * model.duration_s)
 
 
