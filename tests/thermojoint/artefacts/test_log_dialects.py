@@ -305,6 +305,11 @@ def test_a_change_of_summer_time_holds_in_the_files_of_later_days(tmp_path):
         ("time;x_um\n2026-03-02 06:00;1\nlater;2\n", "line 3: time is 'later', no time like those"),
         ("time;x_um\n31.12.2026 06:00;1\n32.12.2026 06:00;2\n", "line 3: time is '32.12.2026"),
         ("0;1\n1;2\n", "log: no header; give a first line"),
+        (
+            "time_s;T1_degC;T2_degC\n0;20;30\ntime_s;T2_degC;T1_degC\n9;30;20\n",
+            "line 3: a header with other columns than the first; put it and the rows below it",
+        ),
+        ("time_s;x_um\n0;1\ntime_s;x_um;y_um\n9;1;2\n", "line 3: a header with other columns"),
     ],
 )
 def test_a_refusal_shows_the_value_and_what_can_be_read(text, message):

@@ -148,7 +148,7 @@ def values_of(row: list[str], dialect: Dialect) -> list[str] | None:
     Raises
     ------
     InputError
-        Their number differs from the header's.
+        They are another header, or their number differs from the header's.
     """
     count = len(dialect.given)
     if len(row) == count and row[0][:1] in _DIGITS:
@@ -156,10 +156,17 @@ def values_of(row: list[str], dialect: Dialect) -> list[str] | None:
     if not is_row(row):
         return None
     cells = trimmed(row, count)
+    if tuple(map(str.strip, cells)) in (dialect.given, dialect.units):
+        return None
+    if any(map(clock_word, cells)) and not is_data(cells):
+        # Without it the rows below would be read by the names of the first one.
+        raise InputError(
+            "a header with other columns than the first; put it and the rows below it into a file "
+            "of their own"
+        )
     if len(cells) != count:
         raise InputError(f"{len(cells)} cells, expected {count}; correct or drop the row")
-    header = tuple(map(str.strip, cells)) in (dialect.given, dialect.units)
-    return None if header else cells
+    return cells
 
 
 def dialect_of(lines: Sequence[str], where: str, whole: bool) -> Dialect | None:
