@@ -304,6 +304,10 @@ def test_a_change_of_summer_time_holds_in_the_files_of_later_days(tmp_path):
         ("Datum;x_um\n02.03.2026;1\n", "a date without a time of day"),
         ("time;x_um\n2026-03-02 06:00;1\nlater;2\n", "line 3: time is 'later', no time like those"),
         ("time;x_um\n31.12.2026 06:00;1\n32.12.2026 06:00;2\n", "line 3: time is '32.12.2026"),
+        (
+            "date;x_um\n" + "12/03/2026 06:00;1\n" * 300 + "13/03/2026 06:00;2\n",
+            "'13/03/2026 06:00', no time like those before it (date and time, month before day); ",
+        ),
         ("0;1\n1;2\n", "log: no header; give a first line"),
         (
             "time_s;T1_degC;T2_degC\n0;20;30\ntime_s;T2_degC;T1_degC\n9;30;20\n",

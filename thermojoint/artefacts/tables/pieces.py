@@ -173,12 +173,14 @@ def _check_twice(layout: Layout, row: Row, other: Row) -> None:
 
 
 def _no_time(layout: Layout, row: Row, text: str) -> InputError:
-    names = " + ".join(layout.names[k] for k in layout.clock.columns)
+    clock = " + ".join(layout.names[k] for k in layout.clock.columns)
     if not text:
         return InputError(f"{layout.where}, line {row.line}: the time is missing; drop the row")
+    # The order of the dates was taken from the first rows.
+    read = f" ({layout.clock.shown})" if layout.clock.order else ""
     return InputError(
-        f"{layout.where}, line {row.line}: {names} is {text!r}, no time like those before it; "
-        f"write one of {FORMS}"
+        f"{layout.where}, line {row.line}: {clock} is {text!r}, no time like those before it"
+        f"{read}; write one of {FORMS}"
     )
 
 
