@@ -17,7 +17,13 @@ import numpy as np
 
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log, joined
-from thermojoint.artefacts.log_record import check_zones, moment_text, moved, with_times
+from thermojoint.artefacts.log_record import (
+    check_dates,
+    check_zones,
+    moment_text,
+    moved,
+    with_times,
+)
 from thermojoint.artefacts.quantities import UNITS, column_named
 from thermojoint.artefacts.settings.toml import parse, read_text
 from thermojoint.artefacts.tables.pieces import ROWS, pieces_in
@@ -93,10 +99,12 @@ def _after(before: Log | None, pieces: Iterable[Log]) -> Iterator[Log]:
     for k, given in enumerate(pieces):
         piece = given.with_order(before.columns) if before else given
         (record,) = piece.records
-        if before is None or not (record.dated and before.records[0].dated):
+        if before:
+            check_dates(record, before.records[0])
+            check_zones(record, before.records[0])
+        if before is None or not record.dated:
             yield piece
             continue
-        check_zones(record, before.records[0])
         shift = before.records[0].shift
         later = replace(piece, times=piece.times + shift, records=(moved(record, shift),))
         if k or later.times[0] > before.times[-1]:

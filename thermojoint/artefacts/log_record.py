@@ -115,6 +115,22 @@ def check_zones(record: Record, other: Record) -> None:
         )
 
 
+def check_dates(record: Record, other: Record) -> None:
+    """Refuse two files of one log of which only one has dates: nothing tells what lies between.
+
+    Raises
+    ------
+    InputError
+        The clock of one of them counts from its own start.
+    """
+    if record.dated != other.dated:
+        one, another = (other, record) if record.dated else (record, other)
+        raise InputError(
+            f"{one.where}: its clock has no date, that of {another.where} has; give every file of "
+            "a log the same clock"
+        )
+
+
 def merged(records: Iterable[Record]) -> tuple[Record, ...]:
     """Return one record for each file from the records of its parts, in the order of reading."""
     records_by_file: dict[str, Record] = {}

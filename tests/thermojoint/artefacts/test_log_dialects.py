@@ -281,6 +281,16 @@ def test_files_with_and_without_a_time_zone_are_not_one_log(tmp_path):
     assert np.diff(read_log(paths).times).tolist() == [1772439000 - 1772427600]
 
 
+def test_files_with_and_without_dates_are_not_one_log(tmp_path):
+    """One run would last since 1970."""
+    paths = files_of(tmp_path, "time_s;x_um\n0;0\n9;1\n", "time;x_um\n2026-03-02 06:00;1\n")
+    for order in (paths, paths[::-1]):
+        with pytest.raises(
+            InputError, match=r"1\.csv: its clock has no date, that of .*2\.csv has"
+        ):
+            read_log(order)
+
+
 def test_a_change_of_summer_time_holds_in_the_files_of_later_days(tmp_path):
     autumn = ["24.10.2026 23:50", "25.10.2026 02:50", "25.10.2026 02:00", "25.10.2026 23:50"]
     spring = ["29.03.2026 01:50", "29.03.2026 03:00", "29.03.2026 23:50"]
