@@ -11,7 +11,7 @@ from fesim.batch.study import Study, Values
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.optimisation.search import Search
-from thermojoint.optimisation.settings import DesignFile, LimitSection
+from thermojoint.optimisation.settings import DesignFile, LimitSection, is_magnitude
 from thermojoint.sensitivity.results import figures_of_rows
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 def sizes_of(names: Sequence[str], figures: Array) -> Array:
     """Return figures (..., names), with displacements, which have a sign, as magnitudes."""
-    signed = np.array([name.startswith("displacement_") for name in names])
+    signed = np.array([is_magnitude(name) for name in names])
     return np.where(signed, np.abs(figures), figures)
 
 

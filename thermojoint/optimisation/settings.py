@@ -14,6 +14,11 @@ from thermojoint.sensitivity.results import check_figures
 from thermojoint.sensitivity.settings import RangesFile
 
 
+def is_magnitude(name: str) -> bool:
+    """Whether a figure counts by its magnitude: displacements and slopes, which have a sign."""
+    return name.startswith("displacement_")
+
+
 class LimitSection(Section):
     """``[[limits]]``: a figure that must stay within bounds."""
 
@@ -27,6 +32,12 @@ class LimitSection(Section):
             raise ValueError(f"{self.figure!r} has no bound; give at_most or at_least")
         if self.at_least is not None and self.at_most is not None and self.at_least >= self.at_most:
             raise ValueError(f"{self.figure!r}: at_least must be below at_most")
+        for name, end in (("at_least", self.at_least), ("at_most", self.at_most)):
+            if end is not None and end < 0.0 and is_magnitude(self.figure):
+                raise ValueError(
+                    f"{self.figure!r} counts by its magnitude, which no {name} of {end:g} limits; "
+                    "give the largest or the smallest magnitude"
+                )
         return self
 
 

@@ -138,6 +138,8 @@ def test_the_least_preload_that_keeps_a_limit_is_checked_by_a_full_march(folder,
         (QUESTION.replace("minimise", "maximise", 1) + 'minimise = "steps"\n', "either"),
         (QUESTION.replace(", at_most = %s", ""), "no bound"),
         (QUESTION.replace("at_most = %s", "at_most = 1.0, at_least = 2.0"), "below at_most"),
+        (QUESTION.replace("at_most = %s", "at_least = -60.0"), "counts by its magnitude"),
+        (QUESTION.replace("%s", "-60.0"), "counts by its magnitude"),
     ],
 )
 def test_a_question_that_makes_no_sense_is_refused(folder, capsys, text, message):
