@@ -19,7 +19,7 @@ from thermojoint.cli import arguments, file_kinds
 if TYPE_CHECKING:
     from fesim.batch.crew import Crew
     from fesim.batch.study import Study, Values
-    from fesim.case.schema import Case
+    from fesim.case.schema import Case, MarchSection
     from thermojoint.artefacts.arrays import Array
     from thermojoint.cli.batch_run import Recruit, Say
     from thermojoint.optimisation.settings import DesignFile
@@ -28,15 +28,8 @@ if TYPE_CHECKING:
 PICTURE = "optimisation.png"
 #: Exit code if a limit does not hold, or the full march fails.
 NOT_HELD = 1
-_MODES = "march.thermal"
-#: The march that checks the optimum: all thermal unknowns, heat and contact iterated.
-FULL = {
-    _MODES: "full",
-    "march.coupling": "iterated",
-    "march.method": "fixed",
-    "march.tolerance_um": None,
-    "march.tolerance_K": None,
-}
+#: Factor on the tolerances of adaptive steps in the march that checks the optimum.
+_STRICTER = 0.1
 
 
 def optimise(  # noqa: PLR0913 - options of a command
@@ -99,7 +92,7 @@ def optimise(  # noqa: PLR0913 - options of a command
     if best is None:
         raise InputError(f"{question}: no case within the ranges has a result{_why(refusals)}")
     with console.working("checking by a full march"):
-        full, failed = _full_march(given, done.rows[best])
+        full, failed = _full_march(given, case, done.rows[best])
     entries = entries_of(given, done.figures[best], full, done.figures[0] if own else None)
     content = {
         "found": done.rows[best],
@@ -193,11 +186,27 @@ def _why(refusals: dict[str, str]) -> str:
     return f"; {len(refusals)} are refused: {next(iter(refusals.values()))}" if refusals else ""
 
 
-def _full_march(given: DesignFile, values: Values) -> tuple[Array, str]:
-    """Return figures of a case from a march with all thermal unknowns; NaN and why if it fails.
+def _checked_by(march: MarchSection, moving: bool) -> Values:
+    """Return the values of the march that checks an optimum: better than that of the search.
 
-    Machines with axes can only march on their thermal modes; that march is iterated.
+    Fixed steps are marched with all thermal unknowns (with axes there are only modes), heat and
+    contact iterated. Adaptive steps, which know only modes and need no iteration, are taken to a
+    tenth of their tolerances: fixed ones of ``step_s``, the spacing of their response, would be
+    worse.
     """
+    from fesim.case.schema import TOLERANCE_K, TOLERANCE_UM
+
+    if march.method == "adaptive":
+        return {
+            "march.tolerance_um": _STRICTER * (march.tolerance_um or TOLERANCE_UM),
+            "march.tolerance_K": _STRICTER * (march.tolerance_K or TOLERANCE_K),
+        }
+    coupled: Values = {"march.coupling": "iterated"}
+    return coupled if moving else coupled | {"march.thermal": "full"}
+
+
+def _full_march(given: DesignFile, case: Case, values: Values) -> tuple[Array, str]:
+    """Return figures of a case from the march that checks it; NaN and why if it fails."""
     from fesim.batch.paths import with_values
     from fesim.batch.summary import figures_of
     from fesim.case.schema import case_from_data
@@ -206,10 +215,10 @@ def _full_march(given: DesignFile, values: Values) -> tuple[Array, str]:
     from thermojoint.optimisation.results import figures_by_name
 
     data = toml.parse(toml.read_text(given.case, "case"), str(given.case))
-    fully = {path: value for path, value in FULL.items() if path != _MODES or "axes" not in data}
-    case = case_from_data(with_values(data, values | fully), str(given.case), given.case.parent)
+    checked = values | _checked_by(case.march, bool(case.axes))
+    best = case_from_data(with_values(data, checked), str(given.case), given.case.parent)
     try:
-        figures = figures_of(simulate(case, accuracy=False).response)
+        figures = figures_of(simulate(best, accuracy=False).response)
     except ConvergenceError as error:
         return figures_by_name(given.names, values, {}), str(error)
     return figures_by_name(given.names, values, figures), ""

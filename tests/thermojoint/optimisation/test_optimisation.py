@@ -177,6 +177,23 @@ def test_a_machine_with_axes_is_checked_by_an_iterated_march(tmp_path):
     assert moved["found"] > 0.1
 
 
+def test_adaptive_steps_are_checked_by_finer_ones(tmp_path):
+    """Fixed steps of the response's spacing are off by 1 % of this displacement under a ramp."""
+    text = case_text(20.0).replace('thermal = "full"\ncoupling = "staggered"', "")
+    for old, new in (
+        ("step_s = 2.0", 'step_s = 60.0\nmethod = "adaptive"'),
+        ('kind = "step"', 'kind = "ramp"\nduration_min = 10.0'),
+    ):
+        assert old in text
+        text = text.replace(old, new)
+    (tmp_path / "machine.toml").write_text(text)
+    code, content = optimised(tmp_path, 1e3)
+    assert code == 0
+    moved = content["figures"][1]
+    assert moved["full_march"] == pytest.approx(moved["found"], abs=0.01)
+    assert moved["full_march"] != moved["found"]
+
+
 def test_what_was_found_is_reported_where_its_full_march_fails(folder, capsys, monkeypatch):
     def failing(case, **options):
         raise ConvergenceError("joint knee: no contact pressure")
