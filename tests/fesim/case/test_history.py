@@ -135,6 +135,19 @@ def test_a_history_may_be_a_loggers_german_table(tmp_path):
 
 
 @pytest.mark.parametrize(
+    "rows",
+    [
+        "time,heat_input\n08:00:00,0.5\n08:01:00,1.25\n",
+        "Uhrzeit,heat_input\n23:59:30,0.5\n00:00:30,1.25\n",
+        "time_s,heat_input\n1772434799.5,0.5\n1772434859.5,1.25\n",
+        "time_ms,heat_input\n1772434799500,0.5\n1772434859500,1.25\n",
+    ],
+)
+def test_a_history_by_the_time_of_day_or_since_1970_counts_from_its_first_row(tmp_path, rows):
+    np.testing.assert_allclose(read_history(csv_of(tmp_path, rows)).times, [0.0, 60.0])
+
+
+@pytest.mark.parametrize(
     ("text", "message"),
     [
         ("time_s,power\n0,1\n1,1\n", "column 'heat_input' is missing; found time_s, power"),

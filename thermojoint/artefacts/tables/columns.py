@@ -11,7 +11,15 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.quantities import column_named, place_of
 from thermojoint.artefacts.tables.cells import numbers, without_error_values
-from thermojoint.artefacts.tables.clock import FORMS, Clock, Hands, clock_of, moment, passed
+from thermojoint.artefacts.tables.clock import (
+    FORMS,
+    Clock,
+    Hands,
+    clock_of,
+    moment,
+    passed,
+    tells_date,
+)
 from thermojoint.artefacts.tables.dialect import Dialect, Row, dialect_of, rows_of
 from thermojoint.artefacts.tables.source import lines_of
 
@@ -29,7 +37,7 @@ def read_columns(
         CSV, .xlsx or Parquet with a header; lines that start with ``#`` are ignored.
     wanted : sequence of str
         Required columns, by these names or with another unit of the same quantity. ``time_s`` may
-        be any clock; one with a date counts from the first row.
+        be any clock; one with a date, or of the time of day, counts from the first row.
     kind : str
         Kind of file for messages, e.g. "history".
     optional : sequence of str
@@ -61,7 +69,8 @@ def read_columns(
         if clock is not None:
             columns[name] = _times(clock, dialect, rows, str(path))
         elif (values := _column(name, dialect, rows, str(path))) is not None:
-            columns[name] = values
+            since_1970 = name == _CLOCK and values.size > 0 and tells_date(float(values[0]))
+            columns[name] = values - values[0] if since_1970 else values
         elif name in wanted:
             given = ", ".join(dialect.given)
             raise InputError(
@@ -90,7 +99,7 @@ def _column(name: str, dialect: Dialect, rows: Sequence[Row], where: str) -> Arr
 
 
 def _times(clock: Clock, dialect: Dialect, rows: Sequence[Row], where: str) -> Array:
-    """Return the times of rows, s; since the first row if the clock has a date."""
+    """Return the times of rows, s; since the first row unless the clock has a start of its own."""
     times, hands = [], Hands()
     for row in rows:
         cells = [row.cells[k] for k in clock.columns]
@@ -102,4 +111,5 @@ def _times(clock: Clock, dialect: Dialect, rows: Sequence[Row], where: str) -> A
             )
         hands, _ = passed(clock, hands, read)
         times.append(hands.last)
-    return np.array(times) - (times[0] if times and clock.dated else 0.0)
+    since_first = clock.dated or clock.form == "time of day"
+    return np.array(times) - (times[0] if times and since_first else 0.0)
