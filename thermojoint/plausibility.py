@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fesim.case.axis_section import seats_of
-from fesim.case.history import read_samples
+from fesim.case.history import read_history, read_samples
 from fesim.case.schema import Case
 from fesim.case.thermal_sections import SampledInput
 from meshes.units import USUAL_SIZE
@@ -230,6 +230,7 @@ def of_cases(cases: Iterable[Case], where: str) -> list[str]:
     """Return the warnings for several cases, one for each key, history and axis without a seat."""
     warnings: dict[str, list[str]] = {}
     histories: dict[tuple[Path, str, Quantity], None] = {}
+    lasting: dict[tuple[Path, str], float] = {}
     for case in cases:
         data = case.model_dump()
         for pattern, quantity in CASE.items():
@@ -246,8 +247,12 @@ def of_cases(cases: Iterable[Case], where: str) -> list[str]:
                 ],
             )
         histories |= dict.fromkeys(_histories(case))
-    return [line for lines in warnings.values() for line in lines] + [
-        line for history in histories for line in of_history(*history)
+        for read in _files_in_time(case):
+            lasting[read] = max(60.0 * case.march.duration_min, lasting.get(read, 0.0))
+    return [
+        *(line for lines in warnings.values() for line in lines),
+        *(line for history in histories for line in of_history(*history)),
+        *(line for read, end in lasting.items() for line in _unused(*read, end)),
     ]
 
 
@@ -282,6 +287,34 @@ def _histories(case: Case) -> Iterator[tuple[Path, str, Quantity]]:
     for held in case.held_temperatures.values():
         if held.file is not None:
             yield held.file, "rise_K", RISE
+
+
+def _files_in_time(case: Case) -> Iterator[tuple[Path, str]]:
+    """Yield every history of a case in a file, with its column."""
+    yield from ((path, column) for path, column, _ in _histories(case))
+    files = [(load.file, "factor") for load in case.loads.values()]
+    files += [(bolt.file, "factor") for bolt in case.bolts.values()]
+    files += [(axis.file, "position_mm") for axis in case.axes.values()]
+    yield from ((path, column) for path, column in files if path is not None)
+
+
+def _unused(path: Path, column: str, end: float) -> list[str]:
+    """Return the warning about a history that does not change during a march of `end` seconds.
+
+    An unreadable file is reported elsewhere.
+    """
+    try:
+        history = read_history(path, column)
+    except InputError:
+        return []
+    first, last = (float(time) for time in history.times[[0, -1]])
+    if np.ptp(history.values) == 0.0 or (first < end and last > 0.0):
+        return []
+    return [
+        f"{path}: {column} goes from {first:g} to {last:g} s, wholly outside the march from 0 to "
+        f"{end:g} s, in which it stays at {float(history(np.zeros(1))[0]):g}; count time_s from "
+        "the start of the march"
+    ]
 
 
 def of_history(path: Path, column: str, quantity: Quantity) -> list[str]:

@@ -154,6 +154,28 @@ def test_an_ambient_in_another_unit_is_told(tmp_path, rows, said):
 
 
 @pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        ([(3600, 0.0), (3660, 1.0)], "3600 to 3660 s, wholly outside the march from 0 to 2100 s"),
+        ([(-600, 0.0), (-60, 1.0)], "in which it stays at 1;"),
+        ([(-600, 0.0), (60, 1.0)], None),
+        ([(2000, 0.0), (3000, 1.0)], None),
+        ([(3600, 1.0)], None),
+    ],
+)
+def test_a_history_wholly_outside_the_march_is_told(tmp_path, rows, said):
+    history(tmp_path, "heat_input", rows)
+    assert [said in line for line in sampled(tmp_path)] == [True] * (said is not None)
+
+
+def test_a_load_after_the_march_is_told(tmp_path):
+    history(tmp_path, "factor", [(3600, 0.0), (3660, 1.0)])
+    load = {"surface": "exterior", "force_N": [0.0, -100.0, 0.0], "file": "given.csv"}
+    (line,) = lines_of((("loads", "cut"), load), folder=tmp_path)
+    assert "factor goes from 3600 to 3660 s" in line
+
+
+@pytest.mark.parametrize(
     "text", ["", "time_s,heat_input\n", "time_s,heat_input\n0,nan\n", "a\n1\n"]
 )
 def test_a_history_that_will_be_refused_is_left_to_its_reader(tmp_path, text):
