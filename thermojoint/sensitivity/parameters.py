@@ -36,7 +36,8 @@ class Parameter:
     path: str
     #: Value in the unit of the path.
     value: float
-    #: Change to which effects refer: a hundredth of the value, or 1 mm for a coordinate.
+    #: Change to which effects refer: a hundredth of the value, with its sign, or 1 mm for a
+    #: coordinate.
     unit_change: float
 
     @property
@@ -64,7 +65,7 @@ def parameters_of(case: Case, patterns: tuple[str, ...] = ("*",)) -> list[Parame
     for path, value in _numbers(data, ""):
         matched = any(fnmatchcase(path, pattern) for pattern in patterns)
         if matched and path not in _MESHED and (value or _POINT in path):
-            found.append(Parameter(path, value, 1.0 if _POINT in path else 0.01 * abs(value)))
+            found.append(Parameter(path, value, 1.0 if _POINT in path else 0.01 * value))
     return found
 
 

@@ -46,6 +46,16 @@ def test_effects_of_a_polynomial_of_fourth_degree_are_its_derivatives(coefficien
     )
 
 
+def test_more_of_a_negative_value_is_further_from_zero(coarse_data):
+    """The effect of 1 % of a figure in proportion to a weight is 1 % of it, wherever up is."""
+    loads = {"loads": {"weight": {"acceleration_m_s2": [0.0, -9.81, 0.0]}}}
+    case = case_from_data(coarse_data | loads, "case", None)
+    (gravity,) = parameters_of(case, ("loads.*",))
+    figures = np.array([[-2.0 * row[gravity.path]] for row in rows_of([gravity])])
+    (effect,) = effects_of([gravity], figures)
+    assert effect.change[0] == pytest.approx(0.01 * 2.0 * 9.81)
+
+
 def test_a_parameter_without_all_its_cases_has_no_effect():
     parameters = [Parameter("x", 1.0, 0.01), Parameter("y", 1.0, 0.01)]
     figures = np.arange(8.0)[:, None]
