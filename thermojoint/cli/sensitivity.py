@@ -118,7 +118,10 @@ def _local(given: Path, patterns: tuple[str, ...], run: Run) -> dict[str, Any]:
     case = read_case(given)
     for pattern in patterns:
         if not parameters_of(case, (pattern,)):
-            raise InputError(f"--parameter {pattern}: no number of {given} has such a path")
+            raise InputError(
+                f"--parameter {pattern}: no number of {given} that can be varied has such a path; "
+                "whole numbers, zeros, and those of march, mesh and output take a batch"
+            )
     parameters = parameters_of(case, patterns)
     rows = local.rows_of(parameters)
     reasons: dict[str, str] = {}

@@ -141,6 +141,13 @@ def folder(tmp_path_factory):
     return folder
 
 
+@pytest.mark.parametrize("path", ["joints.knee.along", "march.step_s"])
+def test_a_number_that_small_changes_do_not_fit_is_refused_with_the_reason(folder, capsys, path):
+    out = folder / "refused"
+    assert run("sensitivity", folder / "machine.toml", "--out", out, "--parameter", path) == 2
+    assert "whole numbers, zeros, and those of march" in capsys.readouterr().err
+
+
 def test_temperatures_rise_with_the_heat_and_displacements_with_the_expansion(folder):
     patterns = [part for path in EFFECTS for part in ("--parameter", path)]
     command = (folder / "machine.toml", "--out", folder / "local", "--workers", 1)
