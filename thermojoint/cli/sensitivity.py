@@ -23,6 +23,8 @@ Run: TypeAlias = "Callable[[Study, list[Values]], tuple[list[str], Array]]"
 
 #: Rows of a table at the terminal, and panels of the picture.
 SHOWN, PANELS = 8, 4
+#: Change to which the effects of a case refer.
+PER = "per 1 % (coordinates and dimensions: per 1 mm)"
 #: Files in the folder of the results.
 TABLE, PICTURE = "sensitivity.csv", "sensitivity.png"
 
@@ -57,9 +59,9 @@ def sensitivity(  # noqa: PLR0913 - options of a command
 ) -> None:
     """Show which values of a case its displacement, temperatures and pressures depend on.
 
-    Of a case: the effect of one percent of each number (of 1 mm of a coordinate), by central
-    differences of two sizes. Of a file of ranges: Morris screening or Sobol indices over all of
-    them. The cases run as in a batch; after any interruption the same command goes on.
+    Of a case: the effect of one percent of each number (of 1 mm of a coordinate or dimension), by
+    central differences of two sizes. Of a file of ranges: Morris screening or Sobol indices over
+    all of them. The cases run as in a batch; after any interruption the same command goes on.
 
     Example: [bold]thermojoint sensitivity machine.toml --out effects --parameter "joints.*"[/bold]
 
@@ -183,7 +185,7 @@ def _report(content: dict[str, Any], out: Path, as_json: Path | None) -> None:
     write_text(out / TABLE, table.to_csv(index=False))
     panels = []
     for name, rows in table.groupby("figure", sort=False):
-        per = " per 1 % (coordinates: per 1 mm)" if content["method"] == "local" else ""
+        per = f" {PER}" if content["method"] == "local" else ""
         panels.append(
             Panel(str(name), f"{first}{per}", rows["path"].tolist(), rows[first], rows[spread])
         )

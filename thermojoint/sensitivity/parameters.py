@@ -24,8 +24,11 @@ _READ = {
     "reference_mm",
     "rotation_within_mm",
 }
-#: Points: a percentage of a coordinate would depend on the origin.
+#: Points, and dimensions of a machine beside them: a percentage of a coordinate would depend on the
+#: origin.
 _POINT = "_mm."
+#: Coordinates along an axis, of its drives.
+_ALONG = {"zero_mm", "fixed_bearing_mm", "far_end_mm", "nut_mm", "fixed_mm", "head_mm"}
 
 
 @dataclass(frozen=True)
@@ -43,7 +46,11 @@ class Parameter:
     @property
     def change(self) -> str:
         """The change in words."""
-        return "1 mm" if _POINT in self.path else "1 %"
+        return "1 mm" if _is_coordinate(self.path) else "1 %"
+
+
+def _is_coordinate(path: str) -> bool:
+    return _POINT in path or path.rpartition(".")[2] in _ALONG
 
 
 def parameters_of(case: Case, patterns: tuple[str, ...] = ("*",)) -> list[Parameter]:
@@ -64,8 +71,9 @@ def parameters_of(case: Case, patterns: tuple[str, ...] = ("*",)) -> list[Parame
     found = []
     for path, value in _numbers(data, ""):
         matched = any(fnmatchcase(path, pattern) for pattern in patterns)
-        if matched and path not in _MESHED and (value or _POINT in path):
-            found.append(Parameter(path, value, 1.0 if _POINT in path else 0.01 * value))
+        placed = _is_coordinate(path)
+        if matched and path not in _MESHED and (value or placed):
+            found.append(Parameter(path, value, 1.0 if placed else 0.01 * value))
     return found
 
 

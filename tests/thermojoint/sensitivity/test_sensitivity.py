@@ -92,7 +92,11 @@ def test_parameters_of_an_axis_are_not_where_it_is_read_and_meshed():
     paths = [parameter.path for parameter in parameters_of(moving_knee.coarse(), ("axes.*",))]
     assert paths == ["axes.y.stroke_mm.0", "axes.y.stroke_mm.1"]
     screw = moving_knee.coarse(ball_screw=moving_knee.SCREW | {"material": "cast_iron"})
-    assert "axes.y.ball_screw.nut_torque_Nm" in {one.path for one in parameters_of(screw)}
+    found = {one.path.rpartition(".")[2]: one for one in parameters_of(screw, ("axes.y.ball*",))}
+    assert found["nut_torque_Nm"].unit_change == pytest.approx(0.01 * found["nut_torque_Nm"].value)
+    # A percentage of a position would depend on where the axis has its zero.
+    assert (found["fixed_bearing_mm"].change, found["diameter_mm"].change) == ("1 mm", "1 %")
+    assert found["fixed_bearing_mm"].unit_change == 1.0
 
 
 def test_lines_along_axes_are_judged_where_they_are_asked_for():
