@@ -9,6 +9,7 @@ from in_process import run
 from moving_knee import PATH
 
 from fesim.batch.study import RangeSection
+from fesim.simulate import simulate
 from thermojoint.artefacts.errors import ConvergenceError
 from thermojoint.optimisation.results import measured
 from thermojoint.optimisation.search import Effort, search
@@ -206,6 +207,19 @@ def test_what_was_found_is_reported_where_its_full_march_fails(folder, capsys, m
     assert least["full_march"] == content["found"]["joints.knee.preload_MPa"]
     assert moved["full_march"] is None
     assert not moved["holds"]
+
+
+def test_a_limit_that_only_the_full_march_breaks_is_told_apart(folder, capsys, monkeypatch):
+    def hotter(case, **options):
+        heat = case.heat_input.model_copy(update={"level": 2.0})
+        return simulate(case.model_copy(update={"heat_input": heat}), **options)
+
+    monkeypatch.setattr("fesim.simulate.simulate", hotter)
+    code, content = optimised(folder, 5.0)
+    assert code == 1
+    moved = content["figures"][1]
+    assert moved["found"] < 5.0 < moved["full_march"]
+    assert "but its full march does not; take a limit with a margin" in capsys.readouterr().err
 
 
 def test_a_file_of_others_in_its_folder_is_kept(folder, tmp_path, capsys):
