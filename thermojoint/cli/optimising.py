@@ -130,12 +130,11 @@ def optimise(  # noqa: PLR0913 - options of a command
 
 def _own_values(given: DesignFile, case: Case) -> Values:
     """Return the values of the case as given; empty if one is not a number or out of its range."""
-    from thermojoint.sensitivity.parameters import parameters_of
+    from thermojoint.sensitivity.parameters import numbers_of
 
-    paths = tuple(span.path for span in given.ranges)
-    own = {each.path: each.value for each in parameters_of(case, paths)}
+    own = numbers_of(case)
     inside = all(span.low <= own.get(span.path, math.nan) <= span.high for span in given.ranges)
-    return {path: own[path] for path in paths} if inside else {}
+    return {span.path: own[span.path] for span in given.ranges} if inside else {}
 
 
 def _finished(given: DesignFile, out: Path, where: str) -> list[Values]:

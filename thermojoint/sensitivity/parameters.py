@@ -27,6 +27,8 @@ _READ = {
 #: Points, and dimensions of a machine beside them: a percentage of a coordinate would depend on the
 #: origin.
 _POINT = "_mm."
+#: Lengths, of which a zero is no place but a part that is not there.
+_DIMENSIONS = "structure.dimensions_mm."
 #: Coordinates along an axis, of its drives.
 _ALONG = {"zero_mm", "fixed_bearing_mm", "far_end_mm", "nut_mm", "fixed_mm", "head_mm"}
 
@@ -53,10 +55,10 @@ def _is_coordinate(path: str) -> bool:
     return _POINT in path or path.rpartition(".")[2] in _ALONG
 
 
-def parameters_of(case: Case, patterns: tuple[str, ...] = ("*",)) -> list[Parameter]:
-    """Return the numbers of a case whose paths match one of the patterns (``*``, ``?``).
+def numbers_of(case: Case) -> dict[str, float]:
+    """Return the numbers of a case by path, zeros included.
 
-    Integers, zeros, and the numbers of march, mesh and outputs are left out.
+    Integers, and the numbers of march, mesh and outputs are left out.
     """
     data = case.model_dump(mode="json", exclude=_LEFT_OUT)
     data["axes"] = {
@@ -65,14 +67,22 @@ def parameters_of(case: Case, patterns: tuple[str, ...] = ("*",)) -> list[Parame
     }
     if isinstance(case.structure, MillingMachineSection):
         usual = asdict(MillingMachineDimensions())
-        # Zeros, as of all numbers, and values derived from others (None) are left out.
-        dimensions = {name: value / MILLI for name, value in usual.items() if value}
+        # Values derived from others are None.
+        dimensions = {name: v / MILLI for name, v in usual.items() if v is not None}
         data["structure"]["dimensions_mm"] = dimensions | case.structure.dimensions_mm
+    return {path: value for path, value in _numbers(data, "") if path not in _MESHED}
+
+
+def parameters_of(case: Case, patterns: tuple[str, ...] = ("*",)) -> list[Parameter]:
+    """Return the numbers of a case whose paths match one of the patterns (``*``, ``?``).
+
+    Of those of `numbers_of`, zeros without a magnitude to refer to are left out.
+    """
     found = []
-    for path, value in _numbers(data, ""):
+    for path, value in numbers_of(case).items():
         matched = any(fnmatchcase(path, pattern) for pattern in patterns)
         placed = _is_coordinate(path)
-        if matched and path not in _MESHED and (value or placed):
+        if matched and (value or (placed and not path.startswith(_DIMENSIONS))):
             found.append(Parameter(path, value, 1.0 if placed else 0.01 * value))
     return found
 

@@ -150,6 +150,25 @@ def test_a_question_that_makes_no_sense_is_refused(folder, capsys, text, message
     assert not (folder / "none").exists()
 
 
+def test_a_given_design_with_a_zero_takes_part(tmp_path):
+    """Without friction this machine moves half as far along y: no other case of these is better."""
+    text = case_text(2.0)
+    assert "friction_coefficient = 0.6" in text
+    (tmp_path / "machine.toml").write_text(
+        text.replace("friction_coefficient = 0.6", "friction_coefficient = 0.0")
+    )
+    (tmp_path / "question.toml").write_text(
+        'case = "machine.toml"\nminimise = "displacement_y_peak_um"\n'
+        'ranges = [{ path = "joints.knee.friction_coefficient", low = 0.0, high = 0.6 }]\n'
+    )
+    options = ("--out", tmp_path / "out", "--json", tmp_path / "found.json", "--workers", 1)
+    effort = ("--population", 5, "--generations", 1)
+    assert run("optimise", tmp_path / "question.toml", *options, *effort) == 0
+    content = json.loads((tmp_path / "found.json").read_text())
+    assert content["found"] == {"joints.knee.friction_coefficient": 0.0}
+    assert content["figures"][0]["now"] == content["figures"][0]["found"]
+
+
 def test_a_machine_with_axes_is_checked_by_an_iterated_march(tmp_path):
     """It has no march with all thermal unknowns; what is judged is the slope over its stroke."""
     text = PATH.read_text("utf-8")
