@@ -16,3 +16,7 @@ INDICES: dict[Method, tuple[str, ...]] = {
     "morris": (*MEASURES["morris"], "mu", "sigma"),
     "sobol": (*MEASURES["sobol"], "S1", "S1_conf"),
 }
+
+#: A figure that changes by less (µm, K, MPa, or a fraction) counts as unchanged: its indices would
+#: be those of rounding errors.
+STILL = 1e-9

@@ -13,11 +13,8 @@ from fesim.batch.summary import FIGURES
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError, unknown_name
 from thermojoint.sensitivity.local import Effect
-from thermojoint.sensitivity.measures import INDICES, MEASURES
+from thermojoint.sensitivity.measures import INDICES, MEASURES, STILL
 from thermojoint.sensitivity.screening import Design, indices_of
-
-#: A figure that changes by less (µm, K, MPa, or a fraction) counts as unchanged.
-STILL = 1e-9
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -11,7 +11,7 @@ import numpy as np
 from fesim.batch.study import RangeSection, Values, values_in
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
-from thermojoint.sensitivity.measures import INDICES, Method
+from thermojoint.sensitivity.measures import INDICES, STILL, Method
 
 #: Levels of the grid of Morris's trajectories.
 LEVELS = 4
@@ -89,7 +89,7 @@ def indices_of(design: Design, figure: Array) -> list[dict[str, Any]]:
 
 def _indices(design: Design, figure: Array) -> dict[str, Any]:
     problem = _problem(len(design.ranges))
-    if not np.ptp(figure):
+    if np.ptp(figure) <= STILL:
         none = [0.0] * len(design.ranges)
         return {"samples": len(figure)} | dict.fromkeys(INDICES[design.method], none)
     if design.method == "morris":

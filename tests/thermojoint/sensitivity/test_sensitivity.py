@@ -18,6 +18,7 @@ from fesim.batch.summary import columns
 from fesim.case.schema import case_from_data, parse_case, read_case
 from thermojoint.artefacts.errors import InputError
 from thermojoint.sensitivity.local import effects_of, rows_of
+from thermojoint.sensitivity.measures import INDICES
 from thermojoint.sensitivity.parameters import Parameter, parameters_of
 from thermojoint.sensitivity.results import chosen_figures, physical
 from thermojoint.sensitivity.screening import design_of, indices_of
@@ -129,6 +130,14 @@ def test_morris_screening_of_a_plane_is_its_slope_without_spread():
     np.testing.assert_allclose(whole["mu"], [2.0, -5.0], rtol=1e-9)
     np.testing.assert_allclose(whole["mu_star"], [2.0, 5.0], rtol=1e-9)
     np.testing.assert_allclose(whole["sigma"], 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("method", ["morris", "sobol"])
+def test_rounding_errors_of_a_figure_that_stays_have_no_indices(method):
+    ranges = [RangeSection(path=f"x{k}", low=0.0, high=3.0) for k in range(2)]
+    design = design_of(ranges, method, 8, seed=1)
+    for stage in indices_of(design, 1e-16 * np.array([row["x0"] for row in design.rows])):
+        assert not any(any(stage[name]) for name in INDICES[method])
 
 
 def test_a_base_of_sobol_samples_is_a_power_of_two():
