@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import NonlinearConstraint, differential_evolution
+from scipy.optimize import NonlinearConstraint, OptimizeResult, differential_evolution
 from scipy.stats import qmc
 
 from fesim.batch.study import RangeSection, Values, values_in
@@ -22,6 +22,9 @@ Measure = Callable[[Array], Array]
 Key = tuple[float, ...]
 #: Significant digits of the values; no design needs more.
 DIGITS = 5
+#: A generation agrees if its aims deviate by this fraction of their mean, and of the range of all
+#: aims so far: a large part of an aim may not depend on the values.
+AGREES = 0.01
 #: Excess of a case without a result.
 HOPELESS = 1e9
 
@@ -32,7 +35,7 @@ class Effort:
 
     #: Number of cases of a generation, 5 or more.
     population: int = 12
-    #: Largest number of generations; fewer if a whole generation agrees to a hundredth.
+    #: Largest number of generations; fewer if a whole generation agrees (`AGREES`).
     generations: int = 15
     #: Seed of all random numbers.
     seed: int = 1
@@ -107,6 +110,14 @@ def search(
         found = measured(unit.reshape(len(ranges), -1))[:, 1:].T
         return np.where(np.isnan(found), HOPELESS, found).reshape(-1, *unit.shape[1:])
 
+    def agrees(intermediate_result: OptimizeResult) -> bool:
+        aims = intermediate_result.population_energies
+        if not np.isfinite(aims).all():
+            return False
+        every = measure(np.array(list(figures.values())))[:, 0]
+        size = min(abs(np.mean(aims)), np.ptp(every[np.isfinite(every)]))
+        return bool(np.std(aims) <= AGREES * size)
+
     cube = qmc.LatinHypercube(len(ranges), rng=np.random.default_rng(effort.seed))
     begin = cube.random(effort.population)
     limits = measured(begin.T).shape[1] - 1
@@ -120,6 +131,8 @@ def search(
         polish=False,
         updating="deferred",
         vectorized=True,
+        tol=0.0,
+        callback=agrees,
     )
     found = np.array([figures[_key(values)] for values in rows])
     return Search(rows, found, measure(found), sizes)

@@ -73,6 +73,18 @@ def test_a_search_asks_for_each_case_once_and_again_for_the_same(tmp_path):
     assert len({tuple(row.items()) for row in first.rows}) == len(first.rows)
 
 
+def test_a_search_goes_on_where_the_aim_is_mostly_constant(tmp_path):
+    """The first generation agrees to a thousandth of the aim, not to a hundredth of its changes."""
+
+    def raised(rows):
+        return bowl(rows) + np.array([1e5, 0.0])
+
+    effort = Effort(population=20, generations=60)
+    done = search(SPANS, raised, lambda figures: measured(question(tmp_path), figures), effort)
+    assert list(done.rows[done.best()].values()) == pytest.approx([1.0, -1.0], abs=0.4)
+    assert 5 < len(done.sizes) < 60
+
+
 def test_cases_without_a_result_are_passed_over(tmp_path):
     given = question(tmp_path, [LimitSection(figure="sum", at_most=10.0)])
 
