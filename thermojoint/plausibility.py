@@ -20,6 +20,7 @@ from fesim.case.schema import Case
 from fesim.case.thermal_sections import SampledInput
 from meshes.units import USUAL_SIZE
 from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.tables.columns import beginning
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -231,6 +232,7 @@ def of_cases(cases: Iterable[Case], where: str) -> list[str]:
     warnings: dict[str, list[str]] = {}
     histories: dict[tuple[Path, str, Quantity], None] = {}
     lasting: dict[tuple[Path, str], float] = {}
+    apart: dict[str, None] = {}
     for case in cases:
         data = case.model_dump()
         for pattern, quantity in CASE.items():
@@ -249,10 +251,12 @@ def of_cases(cases: Iterable[Case], where: str) -> list[str]:
         histories |= dict.fromkeys(_histories(case))
         for read in _files_in_time(case):
             lasting[read] = max(60.0 * case.march.duration_min, lasting.get(read, 0.0))
+        apart |= dict.fromkeys(_begun_apart(case))
     return [
         *(line for lines in warnings.values() for line in lines),
         *(line for history in histories for line in of_history(*history)),
         *(line for read, end in lasting.items() for line in _unused(*read, end)),
+        *apart,
     ]
 
 
@@ -315,6 +319,29 @@ def _unused(path: Path, column: str, end: float) -> list[str]:
         f"{end:g} s, in which it stays at {float(history(np.zeros(1))[0]):g}; count time_s from "
         "the start of the march"
     ]
+
+
+def _begun_apart(case: Case) -> Iterator[str]:
+    """Yield a warning for histories of a case whose first rows were written at other times.
+
+    Each counts from its own first row, so that what was read at one time would act at two.
+    """
+    first: dict[str, tuple[Path, float]] = {}
+    for path in dict.fromkeys(path for path, _ in _files_in_time(case)):
+        try:
+            begun = beginning(path, "history")
+        except InputError:
+            continue
+        if begun is None:
+            continue
+        other, moment = first.setdefault(begun[0], (path, begun[1]))
+        later = begun[1] - moment
+        if abs(later) > case.march.step_s:
+            order = "later" if later > 0.0 else "earlier"
+            yield (
+                f"{path}: its first row is {abs(later):g} s {order} than that of {other}, and each "
+                "history counts from its own first row; let both begin at the same time"
+            )
 
 
 def of_history(path: Path, column: str, quantity: Quantity) -> list[str]:

@@ -176,6 +176,31 @@ def test_a_load_after_the_march_is_told(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("heat", "ambient", "said"),
+    [
+        ("2026-03-02 08:00:00", "2026-03-02 07:30:00", "1800 s earlier than that of"),
+        ("23:59:00", "23:59:30", "30 s later than that of"),
+        ("2026-03-02 08:00:00", "2026-03-02 08:00:01", None),
+        ("2026-03-02 08:00:00", "08:30:00", None),
+        ("0", "60", None),
+    ],
+)
+def test_histories_that_were_recorded_from_different_times_on_are_told(
+    tmp_path, heat, ambient, said
+):
+    """Each counts from its own first row, also where both have dates."""
+    clock = "time_s" if heat == "0" else "time"
+    (tmp_path / "heat.csv").write_text(f"{clock},heat_input\n{heat},1.0\n")
+    (tmp_path / "hall.csv").write_text(f"{clock},ambient_degC\n{ambient},21.0\n")
+    lines = lines_of(
+        (("heat_input",), {"kind": "sampled", "file": "heat.csv"}),
+        (("ambient",), {"file": "hall.csv"}),
+        folder=tmp_path,
+    )
+    assert [said in line for line in lines] == [True] * (said is not None)
+
+
+@pytest.mark.parametrize(
     "text", ["", "time_s,heat_input\n", "time_s,heat_input\n0,nan\n", "a\n1\n"]
 )
 def test_a_history_that_will_be_refused_is_left_to_its_reader(tmp_path, text):

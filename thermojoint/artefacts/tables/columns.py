@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ from thermojoint.artefacts.tables.clock import (
     tells_date,
 )
 from thermojoint.artefacts.tables.dialect import Dialect, Row, dialect_of, rows_of
+from thermojoint.artefacts.tables.layout import HEAD
 from thermojoint.artefacts.tables.source import lines_of
 
 _CLOCK = "time_s"
@@ -77,6 +79,38 @@ def read_columns(
                 f"{path}: column {name!r} is missing; found {given}{f'; {bad}' if bad else ''}"
             )
     return columns
+
+
+def beginning(path: Path, kind: str) -> tuple[str, float] | None:
+    """Return when the first row of a table was written; None if its clock counts from a start.
+
+    Parameters
+    ----------
+    path, kind
+        As in `read_columns`.
+
+    Returns
+    -------
+    (str, float) or None
+        Form of the clock, and s since 1970, or since midnight for a time of day.
+
+    Raises
+    ------
+    InputError
+        As in `read_columns`.
+    """
+    with lines_of(Path(path), kind) as source:
+        lines = list(islice(source, HEAD))
+    dialect = dialect_of(lines, str(path), whole=True)
+    assert dialect is not None
+    rows = list(rows_of(lines[dialect.first :], dialect, str(path)))
+    clock, _ = clock_of(dialect.names, [row.cells for row in rows], dialect.decimal)
+    if clock is None or not rows or not (clock.dated or clock.form == "time of day"):
+        return None
+    read = moment(clock, [rows[0].cells[k] for k in clock.columns], dialect.decimal)
+    if read is None:
+        return None
+    return "date" if clock.dated else clock.form, passed(clock, Hands(), read)[0].last
 
 
 def _column(name: str, dialect: Dialect, rows: Sequence[Row], where: str) -> Array | None:
