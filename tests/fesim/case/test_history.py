@@ -159,6 +159,7 @@ def test_a_history_by_the_time_of_day_or_since_1970_counts_from_its_first_row(tm
         ("time_s,heat_input\n0,0\n1,30\n1,300\n", "perhaps the columns are swapped"),
         ("time_s,heat_input\n0,1\n1,2,3\n", "line 3: 3 cells, expected 2"),
         ("time_s,heat_input\n", "one or more"),
+        ("time_s,heat_input,heat_input\n0,1,2\n", "two columns are called 'heat_input'"),
         ("", "no header; give a first line that names the columns"),
     ],
 )

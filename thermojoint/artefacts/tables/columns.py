@@ -21,7 +21,13 @@ from thermojoint.artefacts.tables.clock import (
     passed,
     tells_date,
 )
-from thermojoint.artefacts.tables.dialect import Dialect, Row, dialect_of, rows_of
+from thermojoint.artefacts.tables.dialect import (
+    Dialect,
+    Row,
+    check_named_once,
+    dialect_of,
+    rows_of,
+)
 from thermojoint.artefacts.tables.layout import HEAD
 from thermojoint.artefacts.tables.source import lines_of
 
@@ -62,6 +68,7 @@ def read_columns(
         lines = list(source)
     dialect = dialect_of(lines, str(path), whole=True)
     assert dialect is not None
+    check_named_once((*wanted, *optional), dialect.names, str(path))
     rows = list(rows_of(lines[dialect.first :], dialect, str(path)))
     columns: dict[str, Array] = {}
     for name in (*wanted, *optional):

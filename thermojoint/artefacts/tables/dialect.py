@@ -142,6 +142,19 @@ def rows_of(lines: Iterable[str], dialect: Dialect, where: str) -> Iterator[Row]
             yield Row(line, cells)
 
 
+def check_named_once(names: Iterable[str], among: Sequence[str], where: str) -> None:
+    """Refuse columns of some names that are there twice, so that either could be meant.
+
+    Raises
+    ------
+    InputError
+        One is.
+    """
+    twice = sorted({name for name in names if name and among.count(name) > 1})
+    if twice:
+        raise InputError(f"{where}: two columns are called {twice[0]!r}; rename one")
+
+
 def values_of(row: list[str], dialect: Dialect) -> list[str] | None:
     """Return the cells of a row of values; None for an empty row, a comment or a repeated header.
 

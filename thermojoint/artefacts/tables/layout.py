@@ -13,6 +13,7 @@ from thermojoint.artefacts.tables.clock import Clock, clock_of
 from thermojoint.artefacts.tables.dialect import (
     Dialect,
     cells_of,
+    check_named_once,
     dialect_of,
     is_data,
     is_row,
@@ -140,7 +141,5 @@ def _renamed(dialect: Dialect, where: str, renamed: Mapping[str, str]) -> tuple[
         renamed.get(given, renamed.get(name, name))
         for given, name in zip(dialect.given, dialect.names, strict=True)
     )
-    twice = sorted({name for name in names if name and names.count(name) > 1})
-    if twice:
-        raise InputError(f"{where}: two columns are called {twice[0]!r}; rename one")
+    check_named_once(names, names, where)
     return names
