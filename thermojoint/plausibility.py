@@ -239,15 +239,8 @@ def of_cases(cases: Iterable[Case], where: str) -> list[str]:
             for place, value in _values(data, pattern.split(".")):
                 if lines := implausible(f"{where}: {place}", value, quantity):
                     warnings.setdefault(place, lines)
-        for name in _adrift(case):
-            warnings.setdefault(
-                f"axes.{name}",
-                [
-                    f"{where}: axes.{name}: another axis carries it, but its drive has no seat, so "
-                    "it does not follow the growth of what carries it; name a probe there as the "
-                    "seat of its ball_screw or scale"
-                ],
-            )
+        for place, line in _pointless(case):
+            warnings.setdefault(place, [f"{where}: {place}: {line}"])
         histories |= dict.fromkeys(_histories(case))
         for read in _files_in_time(case):
             lasting[read] = max(60.0 * case.march.duration_min, lasting.get(read, 0.0))
@@ -258,6 +251,23 @@ def of_cases(cases: Iterable[Case], where: str) -> list[str]:
         *(line for read, end in lasting.items() for line in _unused(*read, end)),
         *apart,
     ]
+
+
+def _pointless(case: Case) -> Iterator[tuple[str, str]]:
+    """Yield parts of a case that do not show what they are for, with the reason and a remedy."""
+    moved = case.displacement
+    if moved is not None and moved.point == moved.relative_to and moved.tool_mm is None:
+        yield (
+            "displacement",
+            f"point and relative_to are both {moved.point!r}, between which nothing moves; name a "
+            "probe on each side, or leave relative_to out",
+        )
+    for name in _adrift(case):
+        yield (
+            f"axes.{name}",
+            "another axis carries it, but its drive has no seat, so it does not follow the growth "
+            "of what carries it; name a probe there as the seat of its ball_screw or scale",
+        )
 
 
 def _adrift(case: Case) -> Iterator[str]:

@@ -97,6 +97,13 @@ def test_names_like_keys_are_no_values():
     assert lines_of((("convection_W_m2K",), case)) == []
 
 
+def test_a_displacement_of_a_point_from_itself_is_told():
+    (line,) = lines_of((("displacement",), {"point": "A", "relative_to": "A"}))
+    assert line.startswith("case.toml: displacement: point and relative_to are both 'A'")
+    tip = {"tool_mm": [0.0, 0.0, 100.0], "tool_within_mm": 50.0}
+    assert lines_of((("displacement",), {"point": "A", "relative_to": "A"} | tip)) == []
+
+
 QUANTITIES = [*plausibility.CASE.values(), plausibility.AMBIENT, plausibility.RISE_AT_START]
 
 
