@@ -9,7 +9,9 @@ import numpy as np
 import xarray as xr
 
 from calibrate.joint_aware.misfit import Run, physics_with
+from estimator.joint_aware.odometers import plausible
 from estimator.joint_aware.readings import ambient_in, recorded, temperatures_in
+from estimator.joint_aware.thresholds import USUAL
 from fesim.axes.axis import gone_along
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
@@ -145,9 +147,13 @@ def ways_of(response: xr.Dataset, machine: ReducedMachine, positions: Array) -> 
     ways = gone_along(positions)
     if "axis_way" in response and positions.shape[1]:
         counted = recorded(response, "axis_way", machine.axis_names)
+        times = response["time"].to_numpy()
         steps = np.diff(counted, axis=0, prepend=counted[:1])
-        # An odometer that reports less than the change of position was reset.
-        ways = np.cumsum(np.maximum(steps, np.diff(ways, axis=0, prepend=0.0)), axis=0)
+        least = np.diff(ways, axis=0, prepend=0.0)
+        # An odometer that reports less than the change of position was reset, and so was one that
+        # jumps ahead: in both cases, only positions count.
+        told = plausible(steps, np.diff(times, prepend=times[:1])[:, None], USUAL.fastest)
+        ways = np.cumsum(np.where(told, np.maximum(steps, least), least), axis=0)
     return ways
 
 

@@ -116,6 +116,17 @@ def test_a_run_is_fitted_with_the_way_that_it_records(moved):
     assert np.abs(sensed - warm).max() < 0.25 * np.abs(sensed - cold).max()
 
 
+def test_a_calibration_goes_by_positions_where_an_odometer_jumps_ahead(moved):
+    """A control restored its count: half a kilometre in ten seconds is no way."""
+    machine, response = moved
+    way = response["axis_way"].copy()
+    way[40:] += 500.0
+    run, jumped = (run_in(one, machine, "run") for one in (response, response.assign(axis_way=way)))
+    kept = np.arange(len(run.gone)) != 39
+    assert jumped.gone[kept] == pytest.approx(run.gone[kept])
+    assert jumped.gone[39, 0] == 0.0
+
+
 def test_a_search_in_longer_steps_has_the_way_too(moved):
     """Positions at the samples are all the same, as if the axis stood."""
     machine, response = moved
