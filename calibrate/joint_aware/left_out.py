@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calibrate.joint_aware.assembling import observer_from_rest
-from calibrate.joint_aware.misfit import Run, counted_in, fewer, highest_heat, joined
+from calibrate.joint_aware.misfit import Run, counted_in, fewer, highest_heat, joined, sampled
 from calibrate.joint_aware.open_band import (
     Drawing,
     drawn_errors,
@@ -178,6 +178,9 @@ def samples_of(run: Run, driven: int) -> Array:
 
     The latter are the ambient and the loads.
     """
-    grid = run.length * np.arange(1, len(run.inputs) + 1)
-    given = [np.interp(run.times, grid, column) for column in run.inputs[:, driven:].T]
-    return np.column_stack([run.times, run.temperature, *given])
+    steps = run.inputs[:, driven:]
+    first = steps[0].copy()
+    if run.loads is not None:
+        first[1 : 1 + run.loads.size] = run.loads
+    given = sampled(steps, run, first)
+    return np.column_stack([run.times, run.temperature, given])

@@ -28,7 +28,13 @@ from thermojoint.reduced.discrepancy import (
 )
 from thermojoint.reduced.machine import ReducedMachine, diagonal_basis, on_basis
 from thermojoint.reduced.parameters import Parameter, factors_of, lag_name, with_factors
-from thermojoint.reduced.physics import Physics, at_start, make_physics, simulate_known
+from thermojoint.reduced.physics import (
+    Physics,
+    at_start,
+    make_physics,
+    simulate_known,
+    starting_under,
+)
 
 
 @dataclass(frozen=True)
@@ -78,6 +84,8 @@ class Run:
     length: float
     #: Shape (n, x): travel of each axis in each step, m; None for the change of its position.
     gone: Array | None = None
+    #: Shape (l,): factors of the loads that change, at time zero; None for those of the case.
+    loads: Array | None = None
 
 
 def counted_in(run: Run, axes: Sequence[int]) -> Array:
@@ -247,9 +255,9 @@ def errors(
     """
     factors = factors_of(parameters, coordinates)
     lags = [factors.pop(lag_name(sensor), 0.0) for sensor in problem.machine.sensor_names]
-    (warm, bent), marched = _marched(problem.machine, tuple(problem.runs), tuple(factors.items()))
+    marched = _marched(problem.machine, tuple(problem.runs), tuple(factors.items()))
     temperature, displacement = [], []
-    for run, (sensed, moved) in zip(problem.runs, marched, strict=True):
+    for run, ((warm, bent), (sensed, moved)) in zip(problem.runs, marched, strict=True):
         read = _lagged(sensed - warm, lags, run.length) + warm if any(lags) else sensed
         temperature.append(run.temperature - sampled(read, run, warm))
         displacement.append(run.displacement - sampled(moved, run, bent))
@@ -285,11 +293,13 @@ def best_lags(
 @lru_cache(maxsize=2)
 def _marched(
     machine: ReducedMachine, runs: tuple[Run, ...], factors: tuple[tuple[str, float], ...]
-) -> tuple[tuple[Array, Array], list[tuple[Array, Array]]]:
-    """Sensors and displacement at the start, and in every run, of a machine with `factors`."""
+) -> list[tuple[tuple[Array, Array], tuple[Array, Array]]]:
+    """Sensors and displacement at the start and in the steps of runs, of a machine with factors."""
     physics = physics_with(machine, dict(factors))
-    return at_start(physics), [
-        simulate_known(physics, run.inputs, run.length, run.gone) for run in runs
+    each = [physics if run.loads is None else starting_under(physics, run.loads) for run in runs]
+    return [
+        (at_start(own), simulate_known(own, run.inputs, run.length, run.gone))
+        for own, run in zip(each, runs, strict=True)
     ]
 
 

@@ -17,7 +17,7 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.response import columns_of
 from thermojoint.reduced.machine import ReducedMachine
-from thermojoint.reduced.physics import at_start
+from thermojoint.reduced.physics import at_start, starting_under
 
 #: At rest every sensor agrees with the others within this, K; a larger difference is no offset.
 COLD = 3.0
@@ -91,7 +91,8 @@ def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
     displacement = columns_of(response, "displacement", machine.axes)
     if not displacement[0].any():
         # A log is relative to its beginning, a machine under loads to its unloaded state.
-        displacement = displacement + at_start(physics_with(machine, {}))[1]
+        begun = starting_under(physics_with(machine, {}), loads[0])
+        displacement = displacement + at_start(begun)[1]
     ways = ways_of(response, machine, positions).T
     ends = [np.interp(grid, times, column) for column in ways]
     return Run(
@@ -101,6 +102,7 @@ def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
         displacement=displacement,
         length=machine.step,
         gone=np.diff(np.column_stack(ends), axis=0, prepend=0.0) if ends else None,
+        loads=loads[0],
     )
 
 

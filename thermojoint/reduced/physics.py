@@ -440,6 +440,15 @@ def at_start(physics: Physics) -> tuple[Array, Array]:
     return modes.sensors @ modes.start, moved
 
 
+def starting_under(physics: Physics, factors: Array) -> Physics:
+    """Return a machine whose first loads have other factors (v,) before the first step."""
+    usual = physics.modes.factors
+    if np.array_equal(factors, usual[: factors.size]):
+        return physics
+    changed = np.concatenate([factors, usual[factors.size :]])
+    return replace(physics, modes=replace(physics.modes, factors=changed))
+
+
 def simulate_known(
     physics: Physics, inputs: Array, length: float, gone: Array | None = None
 ) -> tuple[Array, Array]:

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from observed import errors, estimates, observer
 
+from calibrate.joint_aware import misfit
 from calibrate.joint_aware.calibration import sensors_of
+from calibrate.joint_aware.left_out import samples_of
 from calibrate.joint_aware.misfit import physics_with
 from calibrate.joint_aware.readings import held_in, run_in
 from estimator.interface import Status
@@ -183,6 +185,23 @@ def test_a_load_is_read_in_percent_and_lasts_where_it_is_missing(tmp_path):
         run_in(response.drop_vars("load_factor"), reduce_machine(case, setup, ("P",)), "run")
     with pytest.raises(InputError, match="export: the machine has loads"):
         KIND.program(estimator, None, 5.0)
+
+
+@pytest.mark.parametrize("cold", [0.0, 0.7])
+def test_a_run_begins_under_its_own_loads(tmp_path, cold):
+    """The case begins under half of the load: what that does was added to a run without any."""
+    case = case_of(tmp_path, {"joints": {"joint": PRESSED}, "loads": {"cut": CUT}})
+    (tmp_path / "other.csv").write_text(f"time_s,factor\n0,{cold}\n60,1\n")
+    setup = set_up(case)
+    other = case.replace(loads={"cut": {"file": str(tmp_path / "other.csv")}})
+    response = simulate(other).response
+    assert response["displacement"][0].to_numpy().any() == bool(cold)
+    machine = reduce_machine(case, setup, ("P", "Q"))
+    run = run_in(response, machine, "run")
+    _, displacement = misfit.errors(misfit.make_problem(machine, [run]), (), np.zeros(0))
+    assert np.abs(displacement).max() < 1e-9
+    driven = machine.power.size + len(machine.held.names)
+    assert samples_of(run, driven)[:, -1] == pytest.approx(response["load_factor"][:, 0].to_numpy())
 
 
 def test_what_is_not_taken_is_one_line(tmp_path):
