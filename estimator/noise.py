@@ -77,7 +77,9 @@ def joint_noise(response: xr.Dataset) -> dict[str, np.ndarray]:
 def with_noise(
     response: xr.Dataset, probes: Sequence[str], peak_to_peak: float, seed: int
 ) -> xr.Dataset:
-    """Return a response with noise on the temperatures of some probes, K peak to peak.
+    """Return a response with noise on the temperatures of some sensors, K peak to peak.
+
+    As in `with_added`.
 
     Raises
     ------
@@ -91,17 +93,22 @@ def with_noise(
 
 
 def with_added(response: xr.Dataset, added: Mapping[str, np.ndarray]) -> xr.Dataset:
-    """Return the response with values (K, for every sample) added to some probes.
+    """Return the response with values (K, for every sample) added to some sensors.
+
+    A sensor is a probe, or else a held surface whose temperature is recorded.
 
     Raises
     ------
     InputError
-        A probe is not in the response.
+        A sensor is not in the response.
     """
-    names = probes_of(response)
-    temperature = response["temperature"].copy(deep=True)
-    for probe, values in added.items():
-        if probe not in names:
-            raise unknown_name("probe", probe, names, "response")
-        temperature[:, names.index(probe)] += values
-    return response.assign(temperature=temperature)
+    names = {"temperature": probes_of(response)}
+    if "held_temperature" in response:
+        names["held_temperature"] = [str(name) for name in response["held"].to_numpy()]
+    noisy = {variable: response[variable].copy(deep=True) for variable in names}
+    for sensor, values in added.items():
+        where = next((variable for variable, known in names.items() if sensor in known), None)
+        if where is None:
+            raise unknown_name("probe", sensor, names["temperature"], "response")
+        noisy[where][:, names[where].index(sensor)] += values
+    return response.assign(noisy)

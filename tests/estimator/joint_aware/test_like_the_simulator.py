@@ -13,8 +13,9 @@ from estimator.interface import Status
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.kind import KIND
 from estimator.joint_aware.model_file import read_observer, write_observer
-from estimator.joint_aware.readings import samples_in
+from estimator.joint_aware.readings import samples_in, temperatures_in
 from estimator.kind import Cold
+from estimator.noise import with_noise
 from fesim.case.schema import case_from_data
 from fesim.setup.machine import set_up
 from fesim.simulate import simulate
@@ -155,6 +156,16 @@ def test_a_held_temperature_that_changes_is_read_or_estimated(tmp_path):
     at = [channel.name for channel in estimator.details].index("held_foot")
     assert guessed[-1].details[at] == pytest.approx(-3.0, abs=1.0)
     assert guessed[-1].missing == ("foot",)
+
+
+def test_noise_is_on_the_reading_of_a_held_surface_too(tmp_path):
+    """No response had a probe of its name, so that `validate --noise-pp` refused the model."""
+    coolant = {"held_temperatures": {"foot": {"file": "coolant.csv"}}}
+    case = case_of(tmp_path, {"joints": {"joint": PRESSED}} | coolant)
+    response, sensors = simulate(case).response, ("P", "foot")
+    noisy = with_noise(response, sensors, 0.12, 0)
+    added = temperatures_in(noisy, sensors) - temperatures_in(response, sensors)
+    assert np.ptp(added, axis=0) == pytest.approx([0.12, 0.12])
 
 
 def test_a_load_is_read_in_percent_and_lasts_where_it_is_missing(tmp_path):
