@@ -33,7 +33,8 @@ def runs_of(log: Log, case: Case, displacement: Sequence[str]) -> dict[str, xr.D
     log : Log
         With a temperature for each probe of the case that is a sensor and for each held surface
         whose temperature changes, one power, W, for all sources together, and the displacements;
-        the ``ambient``, if it was measured; for a case with an axis its position, ``y_pos_mm``.
+        the ``ambient``, if it was measured; the factor of a load that changes, ``cut_percent``; for
+        a case with an axis its position, ``y_pos_mm``, and its odometer, ``y_way_mm``.
     case : Case
         The machine.
     displacement : sequence of str
@@ -53,14 +54,20 @@ def runs_of(log: Log, case: Case, displacement: Sequence[str]) -> dict[str, xr.D
         known = ", ".join(f"{name}_degC" for name in case.probes) or "none"
         raise InputError(f"log: no temperature of a probe of the case; these would be {known}")
     power = _power(log, case)
-    places = {name: log.at(f"{name}_pos") for name in case.axes}
-    ways = {name: log.at(f"{name}_way") for name, axis in case.axes.items() if axis.odometer}
+    loads = {
+        name: log.at(f"{name}_percent")
+        for name, load in case.loads.items()
+        if load.file is not None
+    }
+    places = {name: log.at(f"{name}_pos_mm") for name in case.axes}
+    ways = {name: log.at(f"{name}_way_mm") for name, axis in case.axes.items() if axis.odometer}
     room = _temperatures(log, ["ambient"]).get("ambient")
     every = [
         *moved.values(),
         *sensed.values(),
         *surfaces.values(),
         power,
+        *loads.values(),
         *places.values(),
         *ways.values(),
         *([] if room is None else [room]),
@@ -87,6 +94,13 @@ def runs_of(log: Log, case: Case, displacement: Sequence[str]) -> dict[str, xr.D
             heat[kept],
             None if room is None else room[kept] - cold,
         )
+        if loads:
+            under = np.column_stack([read[kept] for read in loads.values()])
+            runs[where] = (
+                runs[where]
+                .assign(load_factor=(("time", "load"), under, {"units": "1"}))
+                .assign_coords(load=list(loads))
+            )
         if places:
             at = np.column_stack([read[kept] for read in places.values()])
             runs[where] = (

@@ -154,6 +154,22 @@ def test_a_held_surface_is_read_from_the_log(case, response, tmp_path):
     assert inputs[:, 1] == pytest.approx(surface, abs=0.011)
 
 
+def test_a_load_is_read_from_the_log(case, response, tmp_path):
+    """A calibration refused the log of a machine under a changing load, whatever it had."""
+    (tmp_path / "cut.csv").write_text("time_s,factor\n0,0\n600,1\n")
+    cut = {"surface": "rear", "force_N": [0.0, 0.0, 100.0], "file": str(tmp_path / "cut.csv")}
+    machine = case_from_data(case | {"loads": {"cut": cut}}, "case", Path())
+    path = log_of(response, tmp_path / "log.csv")
+    with pytest.raises(InputError, match="no column named 'cut_percent'"):
+        runs_of(read_log([path]), machine, ["x_um", "y_um"])
+    first, *rows = path.read_text("utf-8").splitlines()
+    rows = [f"{row},{0.5 * k:g}" for k, row in enumerate(rows)]
+    path.write_text("\n".join([f"{first},cut_percent", *rows]), encoding="utf-8")
+    run = runs_of(read_log([path]), machine, ["x_um", "y_um"])["run 1"]
+    factors = run["load_factor"].sel(load="cut").to_numpy()
+    assert factors == pytest.approx(0.005 * np.arange(factors.size))
+
+
 def test_the_power_of_a_motor_is_not_the_heat_of_its_source(case, response, tmp_path):
     """An estimator reads it beside the temperatures; a run counted all of it as heat."""
     source = case["sources"]["bearings"] | {"power_share": 0.3}
