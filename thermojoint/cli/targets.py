@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 from pathlib import Path
 from typing import Annotated
 
@@ -74,8 +76,11 @@ def target(
         lines = list(lines_of(given))
     else:
         with source.lines_of(offsets, "table of offsets") as table:
-            rows = writes(given, table, str(offsets))
-            lines = [",".join(row) for row in (COLUMNS, *rows)]
+            text = io.StringIO()
+            # Names of axes and nodes may have a comma.
+            writer = csv.writer(text, lineterminator="\n")
+            writer.writerows((COLUMNS, *writes(given, table, str(offsets))))
+            lines = text.getvalue().splitlines()
     if out is None:
         print("\n".join(lines))
     else:

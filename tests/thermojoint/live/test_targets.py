@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import csv
 import random
 import re
 import shlex
@@ -309,6 +310,16 @@ def test_what_would_be_written_follows_at_the_pace_of_the_target(
     assert code == 0
     rows = [line.split(",") for line in said.splitlines()[1:]]
     assert {int(row[0]): round(1000.0 * float(row[3])) for row in rows} == expected
+
+
+def test_a_node_whose_name_has_a_comma_is_one_cell_of_the_table_of_writes(command, tmp_path):
+    table = "time_s,offset_X_um,state\n0,1.5,follow\n"
+    nodes = 'nodes = { SD43900 = "ns=4;s=comp[1,{axis}]" }\n'
+    code, said, _ = would_write(tmp_path, command, table, nodes)
+    assert code == 0
+    assert list(csv.reader(said.splitlines()))[1:] == [
+        ["0", "X", "ns=4;s=comp[1,1]", "0.0015", "mm"]
+    ]
 
 
 @pytest.mark.parametrize(
