@@ -329,6 +329,17 @@ def test_a_node_whose_name_has_a_comma_is_one_cell_of_the_table_of_writes(comman
         ("", "no rows"),
         ("time_s,offset_Y_um,state\n", "no rows"),
         ("offset_X_um,state\n1.0,follow\n", "no time_s"),
+        ("time_s,offset_X_um,state\nnan,1.0,follow\n", "does not increase at nan"),
+        ("time_s,offset_X_um,state\n0,1.0,follow\ninf,2.0,follow\n", "does not increase at inf"),
+        # The service refuses these: K0 alone is no correction, and an axis would be left out.
+        (
+            "time_s,offset_X_um,slope_X_um_per_m,P0_X_mm,state\n0,1,40,50,follow\n",
+            "slope_X_um_per_m: the target has no slope of axis X; add [slopes.X]",
+        ),
+        (
+            "time_s,offset_X_um,offset_Y_um,state\n0,1,2,follow\n",
+            "offset_Y_um: the target has no axis Y; add it to axes",
+        ),
     ],
 )
 def test_a_table_that_leads_to_no_writes_as_it_is_none_is_refused(table, told, command, tmp_path):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+import re
 from collections.abc import Iterable, Iterator, Mapping
 
 from thermojoint.artefacts.errors import InputError
@@ -13,6 +14,7 @@ from thermojoint.live.targets.settings import TargetFile, writes_of
 
 #: Columns of the table of writes.
 COLUMNS = ("time_s", "axis", "node", "value", "unit")
+_OFFSET, _SLOPE = re.compile(r"offset_(.+)_um"), re.compile(r"slope_(.+)_um_per_m")
 
 
 def writes(given: TargetFile, lines: Iterable[str], where: str) -> Iterator[tuple[str, ...]]:
@@ -32,14 +34,17 @@ def writes(given: TargetFile, lines: Iterable[str], where: str) -> Iterator[tupl
     Raises
     ------
     InputError
-        There is no row, a column is missing, times do not increase, a value is not a number or is
-        beyond the range of the control.
+        There is no row, a column is missing or of an axis or slope that the target has not, times
+        do not increase, a value is not a number or is beyond the range of the control.
     """
     every = writes_of(given, given.axes)
     values = dict.fromkeys((write[:2] for write in every), 0.0)
     first = None
-    for row, times in _with_validity(csv.DictReader(lines), given.every_s, where):
-        first = times[0] if first is None else first
+    table = csv.DictReader(lines)
+    for row, times in _with_validity(table, given.every_s, where):
+        if first is None:
+            _check_taken(given, table.fieldnames or (), where)
+            first = times[0]
         goals = {}
         for axis, section in given.slopes.items():
             reference = _number(row, f"P0_{axis}_mm", where)
@@ -66,6 +71,21 @@ def writes(given: TargetFile, lines: Iterable[str], where: str) -> Iterator[tupl
         raise InputError(f"{where}: no rows; give what 'compensate' writes")
 
 
+def _check_taken(given: TargetFile, columns: Iterable[str], where: str) -> None:
+    """Refuse columns of an axis or a slope that the target has not, as the service does."""
+    for column in columns:
+        if (found := _OFFSET.fullmatch(column)) and found[1] not in given.axes:
+            raise InputError(
+                f"{where}: {column}: the target has no axis {found[1]}; add it to axes there, or "
+                "leave it out of the offsets"
+            )
+        if (found := _SLOPE.fullmatch(column)) and found[1] not in given.slopes:
+            raise InputError(
+                f"{where}: {column}: the target has no slope of axis {found[1]}; add "
+                f"[slopes.{found[1]}] there, or leave the slope out of the offsets"
+            )
+
+
 def _with_validity(
     rows: Iterable[Mapping[str, str]], every: float, where: str
 ) -> Iterator[tuple[Mapping[str, str], tuple[float, float]]]:
@@ -76,9 +96,9 @@ def _with_validity(
     held: tuple[Mapping[str, str], float] | None = None
     for row in rows:
         time = _number(row, "time_s", where)
+        if not (held[1] if held else -math.inf) < time < math.inf:
+            raise InputError(f"{where}: time_s does not increase at {time:.9g}; order the rows")
         if held is not None:
-            if not time > held[1]:
-                raise InputError(f"{where}: time_s does not increase at {time:.9g}; order the rows")
             yield held[0], (held[1], time)
         held = row, time
     if held is not None:
