@@ -85,7 +85,8 @@ def draw(source: Path, show: Show | None, out: Path, report: Report, up: Up | No
     ------
     InputError
         The source is unusable, `up` is given for curves, fields are requested for a response
-        without its case, there are no joints with a pressure to show, or `out` has another format.
+        without its case or that continues a saved state, there are no joints with a pressure to
+        show, or `out` has another format.
     """
     from_case = source.suffix != ".nc"
     show = show or (Show.structure if from_case else Show.curves)
@@ -114,6 +115,8 @@ def draw(source: Path, show: Show | None, out: Path, report: Report, up: Up | No
         structure = build_structure(case)
         write_pictures({out: whole_structure(case, structure, up=up)})
         return
+    if response is not None:
+        _check_from_rest(source, response)
     _check_joints(source, case, show)
     if case.axes:
         _check_moving(show)
@@ -153,6 +156,7 @@ def draw_film(
     if source.suffix == ".nc":
         response = read_response(source)
         case = case_in(response, str(source), "so there can be no film of it; give its case")
+        _check_from_rest(source, response)
     else:
         case = read_case(source)
     if show is not None:
@@ -166,6 +170,15 @@ def draw_film(
     shows = (show,) if show else FIELDS if case.joints else FIELDS[:2]
     scenes = film_scenes(shows, case, report, count or FRAMES, up)
     write_film(scenes, out, partial(report, "drawing"))
+
+
+def _check_from_rest(source: Path, response: xr.Dataset) -> None:
+    """Refuse a response that continues a saved state: its case would be simulated without it."""
+    if float(response["time"][0]) > 0.0:
+        raise InputError(
+            f"{source}: continues a saved state, which it does not contain, so its fields cannot "
+            "be drawn; give the case of the whole run, or use --show curves"
+        )
 
 
 def _check_joints(source: Path, case: Case, show: Show) -> None:

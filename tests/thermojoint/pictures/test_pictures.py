@@ -9,9 +9,12 @@ from bars import DEPTH, WIDTH, two_bars
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from fesim.case.thermal_sections import StepInput
+from fesim.simulate import simulate
 from meshes.milling_machine import box_milling_machine
 from thermojoint.artefacts import extras
 from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.response import write_response
 from thermojoint.pictures import film, renderer, view
 from thermojoint.pictures.camera import Camera, facing, window_around
 from thermojoint.pictures.colour_scale import colour_scale
@@ -21,7 +24,7 @@ from thermojoint.pictures.scenes import Panel, Scene, Surface, bodies, finished,
 from thermojoint.pictures.show import Show, Up
 from thermojoint.pictures.stills import sheet
 from thermojoint.pictures.structure_scene import structure_scene
-from thermojoint.pictures.view import FIELDS, draw, film_scenes, whole_structure
+from thermojoint.pictures.view import FIELDS, draw, draw_film, film_scenes, whole_structure
 
 finite = st.floats(-1.0, 1.0)
 directions = st.tuples(finite, finite, finite).filter(lambda v: np.linalg.norm(v) > 0.1)
@@ -272,6 +275,24 @@ def test_curves_have_no_direction_that_is_up(tmp_path):
 def test_a_film_shows_fields_only(tmp_path):
     with pytest.raises(InputError, match="a film shows temperature, deformation, pressure"):
         view.draw_film(tmp_path / "case.toml", view.Show.curves, tmp_path / "f.mp4", print)
+
+
+@pytest.mark.parametrize("drawn", [draw, draw_film])
+def test_the_fields_of_a_response_that_continues_a_saved_state_are_not_drawn(
+    coarse_case, coarse_setup, drawn, tmp_path
+):
+    # Its case says nothing of the state: from rest, a machine that cools would be cold throughout.
+    begun = simulate(coarse_case, setup=coarse_setup)
+    longer = coarse_case.march.model_copy(
+        update={"duration_min": 2.0 * coarse_case.march.duration_min}
+    )
+    cooling = coarse_case.replace(heat_input=StepInput(kind="step", level=0.0), march=longer)
+    response = simulate(cooling, setup=coarse_setup, start=begun.state).response
+    write_response(response, tmp_path / "cooling.nc")
+    out = tmp_path / ("film.gif" if drawn is draw_film else "end.png")
+    with pytest.raises(InputError, match=r"cooling\.nc: continues a saved state, .*give the case"):
+        drawn(tmp_path / "cooling.nc", Show.temperature, out, lambda *_: None)
+    assert [path.name for path in tmp_path.iterdir()] == ["cooling.nc"]
 
 
 def test_a_renderer_that_dies_within_a_film_leaves_the_rest_to_matplotlib(scenes, monkeypatch):
