@@ -13,8 +13,7 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.files import write_text
 from thermojoint.artefacts.settings import toml
 from thermojoint.setup_pages.place import CAD, MESHES, ExistsError, Given, Place, chosen, one
-from thermojoint.setup_pages.settings_files import CASE, form_of, save
-from thermojoint.setup_pages.toml_form import fields_of
+from thermojoint.setup_pages.settings_files import CASE, fields_in, form_of, save
 
 FACES, NAMES, MESH = "faces.toml", "names.toml", "part.msh"
 #: Meshes created by the steps.
@@ -91,7 +90,7 @@ def _named(place: Place, given: Given) -> list[Named]:
     before = toml.parse(place.text(NAMES), NAMES)
     bodies: dict[str, str] = {}
     found = []
-    for field in fields_of(place.text(FACES)):
+    for field in fields_in(place, FACES):
         section, name = field.path
         known: Mapping[str, Any] = before.get(section, {})
         if section == "bodies_mm":

@@ -81,8 +81,17 @@ class Place:
         return (self.folder / name).is_file()
 
     def text(self, name: str) -> str:
-        """Return the content of a text file; empty if it is missing."""
-        return self.path(name).read_text("utf-8") if self.has(name) else ""
+        """Return the content of a text file, without a byte order mark; empty if it is missing.
+
+        Raises
+        ------
+        InputError
+            It is not in UTF-8.
+        """
+        try:
+            return self.path(name).read_text("utf-8-sig") if self.has(name) else ""
+        except UnicodeDecodeError as error:
+            raise InputError(f"{name}: is not in UTF-8; save it in UTF-8") from error
 
     def all_files(self) -> list[str]:
         """Return the files that the pages show."""
@@ -180,7 +189,7 @@ class Place:
         """
         path = self.path(name)
         if path.exists():
-            if path.read_text("utf-8") == text:
+            if path.read_bytes() == text.encode():
                 return
             if "replace" not in given:
                 raise ExistsError([name])

@@ -76,7 +76,7 @@ def form_of(place: Place, name: str, given: Given) -> dict[str, Any] | None:
         return None
     text = place.text(name)
     sent = given if one(given, "file") == name else {}
-    rows = [(field, sent.get(field.name, field.texts)) for field in _fields(place, name)]
+    rows = [(field, sent.get(field.name, field.texts)) for field in fields_in(place, name)]
     sections: dict[str, list[tuple[Field, Sequence[str]]]] = {}
     for field, values in rows:
         sections.setdefault(field.section, []).append((field, values))
@@ -96,7 +96,7 @@ def save(place: Place, given: Given) -> str:
     name = one(given, "file")
     if name not in _CHECKS or not place.has(name):
         raise InputError(f"{name!r}: no file of settings; load the page again")
-    text, fields = place.text(name), _fields(place, name)
+    text, fields = place.text(name), fields_in(place, name)
     if one(given, "digest") != _digest(text):
         raise InputError(f"{name}: has changed since this page was shown; look at it again")
     new = changed(text, given, fields)
@@ -110,7 +110,8 @@ def save(place: Place, given: Given) -> str:
     return name
 
 
-def _fields(place: Place, name: str) -> list[Field]:
+def fields_in(place: Place, name: str) -> list[Field]:
+    """Return the fields of a file; raises InputError if it is not TOML."""
     toml.parse(place.text(name), name)
     return [field for field in fields_of(place.text(name)) if field.path != (ENABLE,)]
 

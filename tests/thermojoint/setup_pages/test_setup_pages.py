@@ -336,6 +336,30 @@ def test_a_form_of_a_file_that_has_changed_since_is_refused(client, place):
     assert "has changed since" in page
 
 
+@pytest.mark.parametrize(
+    ("page", "name"),
+    [("/offsets", "offsets.toml"), ("/control", "service.toml"), ("/names", "faces.toml")],
+)
+@pytest.mark.parametrize(
+    ("mistake", "told"), [(b"[[[", "no valid TOML"), ("# f\u00fcr".encode("cp1252"), "in UTF-8")]
+)
+def test_a_file_that_is_no_toml_is_told_on_its_page(page, name, mistake, told, client, place):
+    put(place, FOLLOWED)
+    (place.folder / name).write_bytes(mistake)
+    answer = client.get(page)
+    assert answer.status_code == 400
+    assert re.search(f"{name}: .*{told}", answer.text)
+
+
+def test_a_form_of_a_file_with_a_byte_order_mark_is_saved(client, place):
+    put(place, FOLLOWED)
+    path = place.folder / "offsets.toml"
+    path.write_text(OFFSETS, "utf-8-sig")
+    assert form(client, "/offsets", "offsets.toml", rate_um_s="2.0")[0] == 303
+    ended(place)
+    assert path.read_text("utf-8") == OFFSETS.replace("= 1.0", "= 2.0")
+
+
 def test_names_are_written_by_points_and_come_back_into_the_form(client, place):
     (place.folder / "part.step").write_text("")
     recorded(place, "part", "$ thermojoint mesh part.step --size-mm=5", "exit code 0")
