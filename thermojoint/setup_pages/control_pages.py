@@ -81,9 +81,15 @@ def do_offsets(place: Place, given: Given) -> None:
     """Create the settings of the offsets, or save them and preview the offsets of the estimate."""
     known, interval = _estimated(place)
     if "begin" in given:
-        named = {one(given, _AXIS + axis): axis for axis in known if one(given, _AXIS + axis)}
+        entered = {axis: name for axis in known if (name := one(given, _AXIS + axis))}
+        named = {name: axis for axis, name in entered.items()}
         if not named:
             raise InputError("axes: name at least one axis of the control")
+        for axis, name in entered.items():
+            if named[name] != axis:
+                raise InputError(
+                    f"axes: {name} would compensate both {axis} and {named[name]}; name it once"
+                )
         values = {"axes": named, "known": known, "oldest": max(30.0, 3.0 * interval)}
         place.begin(OFFSETS, _filled(OFFSETS, unusable=json.dumps(UNUSABLE), **values), given)
         return

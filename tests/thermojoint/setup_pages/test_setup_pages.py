@@ -310,6 +310,18 @@ def test_a_mistake_in_a_setting_stands_beside_its_field(client, place):
     assert place.text("offsets.toml") == OFFSETS.replace("1.0", "2.5", 1)
 
 
+def test_an_axis_of_the_control_compensates_one_displacement(client, place):
+    table = "time_s,x_um,y_um,x_band_um,y_band_um,status,quality\n0,0,0,1,1,ok,good\n"
+    put(place, {"estimate.csv": table})
+    both = {"begin": "yes", "axis:x": "Z", "axis:y": "Z"}
+    status, page = sent(client, "/offsets", **both)
+    assert status == 400
+    assert "Z would compensate both x and y" in page
+    assert not place.has("offsets.toml")
+    assert sent(client, "/offsets", **both | {"axis:y": "Y"})[0] == 303
+    assert "[axes.Y]" in place.text("offsets.toml")
+
+
 def test_a_form_is_not_loaded_again_while_another_step_runs(client, place):
     """What somebody typed into it was lost each second."""
     place.jobs.start("learn", ["verify"])
