@@ -112,13 +112,14 @@ def check_answerable(kept: Recorded, statuses: Sequence[Status]) -> None:
 
 
 def duty_cycle(ranges: Sequence[tuple[float, float]], interval: float) -> Array:
-    """Return a day of samples (n, 1 + channels): an intermittent load in the calibrated ranges.
+    """Return samples (n, 1 + channels) of an intermittent load in the calibrated ranges.
 
-    The nominal interval is in s.
+    They last a day, or, at short intervals, are the first `MOST` samples of one. The nominal
+    interval is in s.
     """
     steps = [interval] * EVEN
     elapsed, gap = EVEN * interval, False
-    while elapsed < DAY:
+    while elapsed < DAY and len(steps) < MOST:
         steps.append(interval * INTERVALS[len(steps) % len(INTERVALS)])
         if not gap and elapsed > 0.5 * DAY:
             steps[-1], gap = GAP, True

@@ -22,6 +22,7 @@ from calibrate.learning.thinning import DRIVES
 from estimator.columns import samples_of
 from estimator.export.fmu import Standard, fmi_files
 from estimator.export.program import REFUSED, Precision
+from estimator.export.recorded import MOST, duty_cycle
 from estimator.exporting import export_program
 from estimator.interface import Status, follow
 from estimator.learned.estimator import Learned
@@ -195,6 +196,13 @@ def test_a_unit_for_co_simulation_has_the_unit_of_every_reading(learned, tmp_pat
     (own,) = (one.unit for one in program.interface.inputs if one.name == "n")
     text = fmi_files(program, Standard.FMI3)["modelDescription.xml"]
     assert f'<Unit name="{own}"><BaseUnit' in text
+
+
+def test_a_short_interval_needs_no_more_samples_for_its_self_test_than_are_compiled_in():
+    # A day of it would be 3e12 samples.
+    duty = duty_cycle([(0.0, 10.0)], 1e-9)
+    assert len(duty) == MOST
+    assert (np.diff(duty[:, 0]) > 0.0).all()
 
 
 def test_an_interval_that_is_none_is_refused(learned):
