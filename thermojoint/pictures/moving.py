@@ -21,7 +21,15 @@ from thermojoint.artefacts.units import MILLI
 from thermojoint.console import Report
 from thermojoint.pictures.camera import Camera, Vector
 from thermojoint.pictures.field_scenes import make_stage
-from thermojoint.pictures.scenes import Panel, Scene, Surface, curves_of, mirror_of, whole
+from thermojoint.pictures.scenes import (
+    Panel,
+    Scene,
+    Surface,
+    curves_of,
+    in_minutes,
+    mirror_of,
+    whole,
+)
 from thermojoint.pictures.structure_scene import onto
 
 if TYPE_CHECKING:
@@ -56,7 +64,7 @@ def volume_figure(response: xr.Dataset, case: Case) -> Figure:
     directions = np.array([unit_direction(axis) for axis in case.axes.values()])
     places = 1e3 * response["volume_position"].to_numpy() @ directions
     when = f"{response.attrs['displacement_of']}\n"
-    when += f"where the axes stand, after {float(last['survey']) / 60.0:.3g} min,\n"
+    when += f"where the axes stand, after {in_minutes(float(last['survey']))},\n"
     shown = {"displacement": ("µm", "drawn {:g} times too large")}
     if "volume_rotation" in response:
         shown["rotation"] = ("µrad", "drawn along its axis, {:g} mm per mrad")
@@ -131,7 +139,7 @@ def moving_scenes(case: Case, report: Report, count: int, up: Vector) -> list[Sc
     ).response
     curves = curves_of(response, (time for time, _ in moments))
     return [
-        Scene((panel,), f"{time / 60.0:.3g} min", curve)
+        Scene((panel,), in_minutes(time), curve)
         for (time, panel), curve in zip(moments, curves, strict=True)
     ]
 

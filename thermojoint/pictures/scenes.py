@@ -128,6 +128,12 @@ class Mirror:
         return image
 
 
+def in_minutes(seconds: float) -> str:
+    """Return a time of a picture in min: three digits, and all digits of whole minutes."""
+    minutes = seconds / 60.0
+    return f"{minutes:.3g} min" if minutes < 999.5 else f"{minutes:.0f} min"
+
+
 def finished(scenes: Sequence[Scene]) -> list[Scene]:
     """Give every panel a window and a colour scale that all scenes of a film share.
 

@@ -45,6 +45,7 @@ from thermojoint.pictures.scenes import (
     Panel,
     Scene,
     curves_of,
+    in_minutes,
     mirror_of,
     probe_position,
     up_direction,
@@ -316,7 +317,7 @@ def _upwards(case: Case, structure: Structure, up: Up | None) -> Vector:
 
 def _caption(case: Case, fields: Fields) -> str:
     """Time and total heat, relative to the reference and in W."""
-    time = f"{fields.time / 60.0:.3g} min"
+    time = in_minutes(fields.time)
     reference = sum(source_power(source) for source in case.sources.values())
     if not reference:
         return f"{time}, no heat source"

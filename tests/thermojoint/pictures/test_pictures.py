@@ -20,7 +20,15 @@ from thermojoint.pictures.camera import Camera, facing, window_around
 from thermojoint.pictures.colour_scale import colour_scale
 from thermojoint.pictures.labels import place_labels
 from thermojoint.pictures.renderer import creases, painted, pixel_size
-from thermojoint.pictures.scenes import Panel, Scene, Surface, bodies, finished, up_direction
+from thermojoint.pictures.scenes import (
+    Panel,
+    Scene,
+    Surface,
+    bodies,
+    finished,
+    in_minutes,
+    up_direction,
+)
 from thermojoint.pictures.show import Show, Up
 from thermojoint.pictures.stills import sheet
 from thermojoint.pictures.structure_scene import structure_scene
@@ -184,6 +192,14 @@ def test_a_machine_fills_its_picture(coarse_case, coarse_setup):
 def test_a_picture_says_when_it_is_and_what_heats_it(scenes):
     assert scenes[0].caption == "0 min, heat input 0 (0 W)"
     assert scenes[-1].caption == "1 min, heat input 1 (590 W)"
+
+
+@pytest.mark.parametrize(
+    ("seconds", "said"),
+    [(20.0, "0.333 min"), (59940.0, "999 min"), (59970.0, "1000 min"), (90060.0, "1501 min")],
+)
+def test_the_time_of_a_picture_has_all_its_minutes(seconds, said):
+    assert in_minutes(seconds) == said
 
 
 def test_a_film_has_one_camera_one_window_and_one_scale(scenes):
