@@ -464,16 +464,19 @@ def test_what_does_not_fit_is_refused_before_the_plant_is_set_up(
 
 
 @pytest.mark.parametrize(
-    ("delay", "oldest", "told"),
+    ("delay", "tried", "oldest", "told"),
     [
-        (32.0, 30.0, "oldest_s 30 is shorter than estimator.delay_s 32"),
-        (0.0, 2.0, "oldest_s 2 is not longer than the estimator's step of 2 s"),
+        (32.0, 30.0, 30.0, "oldest_s 30 is shorter than estimator.delay_s 32"),
+        (0.0, 32.0, 30.0, "oldest_s 30 is shorter than tried_delays_s 32"),
+        (0.0, 30.0, 2.0, "oldest_s 2 is shorter than tried_delays_s 30"),
+        (0.0, 2.0, 2.0, "oldest_s 2 is not longer than the estimator's step of 2 s"),
     ],
 )
-def test_estimates_that_offsets_would_not_follow_are_refused(folder, delay, oldest, told):
+def test_estimates_that_offsets_would_not_follow_are_refused(folder, delay, tried, oldest, told):
     """They are too old when they arrive, or before the next one does."""
     path, offsets = folder / "loop.toml", folder / "offsets.toml"
     text = re.sub(r"\[heater\].*", "", path.read_text("utf-8"), flags=re.DOTALL)
+    text = text.replace("[30.0]", f"[{tried}]")
     path.write_text(text.replace("delay_s = 0.0", f"delay_s = {delay}"), "utf-8")
     offsets.write_text(f"oldest_s = {oldest}\n{offsets.read_text('utf-8')}", "utf-8")
     assert told in refused(path)

@@ -105,12 +105,12 @@ def close_loop(loop: Loop, progress: Progress | None = None) -> Closed:
         # In a loop the machine and its model do not move their axes.
         with_slopes(settings, {}, str(loop.offsets))
         check_axes(settings, estimator.axes, str(loop.offsets))
-    _check_age(settings, loop, estimator.model.step)
     case = plant_case(loop)
     check_plant(case, estimator)
     for delay in (loop.estimator.delay_s, *loop.tried_delays_s):
         _samples(delay, estimator.model.step)
     _check_length(loop, case, estimator)
+    _check_age(settings, loop, estimator.model.step)
     noise = _noise(loop, case, estimator)
     design = _design(loop, loop.heater, estimator) if loop.heater is not None else None
     report("setting up the plant")
@@ -265,14 +265,15 @@ def _noise(loop: Loop, case: Case, estimator: JointAware) -> Array:
 
 def _check_age(settings: Settings | None, loop: Loop, step: float) -> None:
     """Refuse estimates that are too old on arrival, or before the next one arrives."""
-    delay = loop.estimator.delay_s
     if settings is None:
         return
     oldest, told = settings.trust.oldest, ""
     if oldest <= step:
         told = f"not longer than the estimator's step of {step:g} s"
-    if oldest < delay:
-        told = f"shorter than estimator.delay_s {delay:g}"
+    tried = [("tried_delays_s", delay) for delay in loop.tried_delays_s]
+    for name, delay in (*tried, ("estimator.delay_s", loop.estimator.delay_s)):
+        if oldest < delay:
+            told = f"shorter than {name} {delay:g}"
     if told:
         raise InputError(
             f"{loop.offsets}: oldest_s {oldest:g} is {told}: no offset would follow; make it longer"
