@@ -482,6 +482,13 @@ def test_estimates_that_offsets_would_not_follow_are_refused(folder, delay, trie
     assert told in refused(path)
 
 
+def test_two_axes_do_not_compensate_one_displacement_twice(folder):
+    """The two drives of a gantry take the same offset, and move it once."""
+    axes = '[axes.X1]\nfollows = "x"\n[axes.X2]\nfollows = "x"\n'
+    (folder / "offsets.toml").write_text(axes, "utf-8")
+    assert "axes X1 and X2 both follow x" in refused(folder / "loop.toml")
+
+
 @pytest.mark.parametrize(
     "lines", ["duration_min = 0.01", "duration_min = 0.55\njudged_from_min = 0.54"]
 )

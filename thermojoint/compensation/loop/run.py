@@ -105,6 +105,7 @@ def close_loop(loop: Loop, progress: Progress | None = None) -> Closed:
         # In a loop the machine and its model do not move their axes.
         with_slopes(settings, {}, str(loop.offsets))
         check_axes(settings, estimator.axes, str(loop.offsets))
+        _check_followed_once(settings, str(loop.offsets))
     case = plant_case(loop)
     check_plant(case, estimator)
     for delay in (loop.estimator.delay_s, *loop.tried_delays_s):
@@ -129,6 +130,17 @@ def close_loop(loop: Loop, progress: Progress | None = None) -> Closed:
     late = {delay: acted(delay) for delay in loop.tried_delays_s}
     followed = () if settings is None else settings.output.estimated
     return Closed(loop, estimator.axes, design, free, heated, late, followed)
+
+
+def _check_followed_once(settings: Settings, where: str) -> None:
+    """Refuse two axes that follow one displacement: what each moves is added to it."""
+    first: dict[str, str] = {}
+    for name, followed in zip(settings.output.names, settings.output.estimated, strict=True):
+        if (other := first.setdefault(followed, name)) != name:
+            raise InputError(
+                f"{where}: axes {other} and {name} both follow {followed}, and a loop would move "
+                "it twice; leave one of them out"
+            )
 
 
 def plant_case(loop: Loop) -> Case:
