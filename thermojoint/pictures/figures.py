@@ -77,8 +77,10 @@ def pressure_figure(response: xr.Dataset) -> Figure:
         )
     if labelled:
         _name_ends(axes[0], minutes[-1], change[-1], [str(number) for number in numbers])
-    preload = float(response["pressure"].isel(time=0).max()) / 1e6
-    figure.suptitle(f"{heat_text(response)}, preload {preload:.2f} MPa", fontsize=10)
+    most = f"{float(response['pressure'].isel(time=0).max()) / 1e6:.2f} MPa"
+    # A response that continues a saved state does not contain the preload.
+    before = f"at first up to {most}" if minutes[0] > 0.0 else f"preload {most}"
+    figure.suptitle(f"{heat_text(response)}, {before}", fontsize=10)
     axes[0].set_ylabel("change of contact pressure (MPa)")
     _finish(axes, legend=False)
     if labelled:

@@ -74,6 +74,13 @@ def test_figure_7_shows_by_how_many_mpa_the_pressure_has_grown_over_minutes(coar
     assert "min" in axes.get_xlabel()
 
 
+def test_the_preload_is_the_pressure_at_time_zero_alone():
+    whole = settling(np.full(4, 600.0), np.full(4, 2e6))
+    assert pressure_figure(whole).get_suptitle() == "heat input 1, preload 4.41 MPa"
+    continued = whole.isel(time=slice(301, None))
+    assert pressure_figure(continued).get_suptitle() == "heat input 1, at first up to 5.68 MPa"
+
+
 def test_no_two_contact_elements_look_alike():
     figure = pressure_figure(settling(np.full(24, 60.0), np.linspace(-1e6, 1e6, 24)))
     curves = figure.axes[0].lines[:24]
