@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -155,15 +156,17 @@ def pressure_panel(stage: Stage, fields: Fields) -> Panel:
         f"contact pressure on {', '.join(joint.name for joint in joints)}",
         (*whole((body,), stage.mirror), *maps),
         Camera(facing(normal, stage.up, side=-0.5, height=0.3), stage.up),
-        _numbers(np.concatenate([joint.centre for joint in joints])),
+        _numbers(joints),
         shows="contact pressure (MPa)",
         close_to=middle + 1.15 * (around - middle),
     )
 
 
-def _numbers(centres: Array) -> tuple[Marker, ...]:
+def _numbers(joints: Sequence[PairedJoint]) -> tuple[Marker, ...]:
     """Return a number for each place along the joints; none if there would be too many to read."""
-    _, first = np.unique(places_along(centres), return_index=True)
+    centres = np.concatenate([joint.centre for joint in joints])
+    names = [joint.name for joint in joints for _ in joint.area]
+    _, first = np.unique(places_along(centres, names), return_index=True)
     if len(first) > LABELLED:
         return ()
     points = centres[first].tolist()

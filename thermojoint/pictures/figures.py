@@ -47,8 +47,8 @@ LABELLED = 12
 def pressure_figure(response: xr.Dataset) -> Figure:
     """Figure 7: change of the contact pressure along the joint; positive where it grows.
 
-    Contact elements at the same place along the joint are averaged by area, and numbered from the
-    joint's lower end, as in the paper, which plots compression downwards.
+    Contact elements at the same place along a joint are averaged by area, and numbered from the
+    joint's lower end, joint after joint. The paper plots compression downwards.
 
     Raises
     ------
@@ -79,7 +79,8 @@ def pressure_figure(response: xr.Dataset) -> Figure:
         _name_ends(axes[0], minutes[-1], change[-1], [str(number) for number in numbers])
     most = f"{float(response['pressure'].isel(time=0).max()) / 1e6:.2f} MPa"
     # A response that continues a saved state does not contain the preload.
-    before = f"at first up to {most}" if minutes[0] > 0.0 else f"preload {most}"
+    of_all = "up to " if len({*joints_of(response)}) > 1 else ""
+    before = f"at first up to {most}" if minutes[0] > 0.0 else f"preload {of_all}{most}"
     figure.suptitle(f"{heat_text(response)}, {before}", fontsize=10)
     axes[0].set_ylabel("change of contact pressure (MPa)")
     _finish(axes, legend=False)
@@ -90,32 +91,48 @@ def pressure_figure(response: xr.Dataset) -> Figure:
 
 
 def pressure_along(response: xr.Dataset) -> Array:
-    """Mean contact pressure at each place along the joint, Pa, shape (times, places).
+    """Mean contact pressure at each place along each joint, Pa, shape (times, places).
 
     Without the positions of the contact elements every element is a separate place.
     """
     pressure = response["pressure"].to_numpy()
     if "contact_position" not in response:
         return np.asarray(pressure)
-    place = places_along(response["contact_position"].to_numpy())
+    position = response["contact_position"].to_numpy()
+    place = places_along(position, joints_of(response))
     area = response["contact_area"].to_numpy()
     share = np.zeros((place.size, int(place.max()) + 1))
     share[np.arange(place.size), place] = area
     return np.asarray(pressure @ (share / share.sum(axis=0)))
 
 
-def places_along(position: Array) -> NDArray[np.int64]:
-    """Number the contact elements by their place along the joint, from 0.
+def joints_of(response: xr.Dataset) -> list[str]:
+    """Return the joint of every contact element; the same where a response does not say it."""
+    if "contact_joint" not in response:
+        return [""] * response.sizes["contact"]
+    return [str(name) for name in response["contact_joint"].to_numpy()]
 
-    This is the direction of their largest extent.
+
+def places_along(position: Array, joints: Sequence[str]) -> NDArray[np.int64]:
+    """Number the contact elements by their place along their joint, from 0, joint after joint.
+
+    This is the direction of the joint's largest extent.
 
     Parameters
     ----------
     position : ndarray, shape (elements, 3)
         m.
+    joints : sequence of str
+        Joint of every element.
     """
-    along = position[:, np.argmax(np.ptp(position, axis=0))]
-    return np.unique(np.round(along, 6), return_inverse=True)[1]
+    places, count = np.zeros(len(position), dtype=np.int64), 0
+    for joint in dict.fromkeys(joints):
+        own = np.array([name == joint for name in joints])
+        along = position[own][:, np.argmax(np.ptp(position[own], axis=0))]
+        numbers = np.unique(np.round(along, 6), return_inverse=True)[1]
+        places[own] = count + numbers
+        count += int(numbers.max()) + 1
+    return places
 
 
 def heat_text(response: xr.Dataset) -> str:

@@ -27,6 +27,7 @@ from thermojoint.pictures.figures import (
     estimates_figure,
     heat_text,
     panels_figure,
+    pressure_along,
     pressure_figure,
     response_figure,
     write_figure,
@@ -79,6 +80,17 @@ def test_the_preload_is_the_pressure_at_time_zero_alone():
     assert pressure_figure(whole).get_suptitle() == "heat input 1, preload 4.41 MPa"
     continued = whole.isel(time=slice(301, None))
     assert pressure_figure(continued).get_suptitle() == "heat input 1, at first up to 5.68 MPa"
+
+
+def test_pressures_of_two_joints_are_not_averaged():
+    """Their elements lie at the same places, one joint above the other."""
+    response = settling(np.full(4, 600.0), np.array([1e6, 2e6, -3e6, -4e6]))
+    places = [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.2, 0.0], [0.1, 0.2, 0.0]]
+    response["contact_position"] = ("contact", "direction"), np.array(places)
+    response["contact_area"] = "contact", np.ones(4)
+    response["contact_joint"] = "contact", ["saddle", "saddle", "slide", "slide"]
+    assert np.array_equal(pressure_along(response), response["pressure"].to_numpy())
+    assert "preload up to 4.41 MPa" in pressure_figure(response).get_suptitle()
 
 
 def test_no_two_contact_elements_look_alike():
