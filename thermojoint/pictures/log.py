@@ -15,7 +15,7 @@ from thermojoint.pictures.figures import write_figure
 _POINTS = 4000
 _HOUR = 3600.0
 _LABELS = {
-    "temperature": "temperature (°C)",
+    "temperature": "temperature ({})",
     "length": "displacement (µm)",
     "position": "position (mm)",
     "way": "way (m)",
@@ -48,13 +48,16 @@ def write_log_picture(log: Log, path: Path) -> None:
     step = max(1, len(hours) // _POINTS)
     for panel, quantity in zip(panels, quantities, strict=True):
         scale, zero = _SHOWN.get(quantity, (1.0, 0.0))
-        for column in (column for column in log.columns if shown[column.name] == quantity):
+        columns = [column for column in log.columns if shown[column.name] == quantity]
+        for column in columns:
             absolute = quantity == "temperature" and column.unit != "K"
             values = scale * log.at(column.name) - (273.15 if absolute else zero)
             panel.plot(hours[::step], values[::step], linewidth=1.0, label=column.name)
         for begin, end in _pauses(log):
             panel.axvspan(begin, end, color="0.9", linewidth=0.0)
-        panel.set_ylabel(_LABELS[quantity])
+        # Columns in K are drawn in K: they may be above an ambient.
+        units = sorted({"K" if column.unit == "K" else "°C" for column in columns})
+        panel.set_ylabel(_LABELS[quantity].format(" and ".join(units)))
         panel.grid(alpha=0.3)
         panel.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize="small", frameon=False)
     panels[-1].set_xlabel("time since the first sample (h)")

@@ -75,6 +75,23 @@ def test_positions_and_odometers_have_panels_of_their_own(command, tmp_path, mon
     assert tops["way (m)"] == pytest.approx(19.9)
 
 
+@pytest.mark.parametrize(
+    ("columns", "label"),
+    [("T1_degC,T2_degF", "°C"), ("T1_K,T2_K", "K"), ("T1_K,T2_degC", "K and °C")],
+)
+def test_temperatures_in_kelvin_are_not_drawn_as_degrees_celsius(
+    columns, label, command, tmp_path, monkeypatch
+):
+    drawn = []
+    monkeypatch.setattr(
+        "thermojoint.pictures.log.write_figure", lambda figure, path, dpi: drawn.append(figure)
+    )
+    rows = "".join(f"{60 * t},{20 + 0.1 * t},{30 + 0.1 * t}\n" for t in range(20))
+    (tmp_path / "log.csv").write_text(f"time_s,{columns}\n{rows}")
+    assert command("look", "log.csv", "--out", "log.png")[0] == 0
+    assert drawn[0].axes[0].get_ylabel() == f"temperature ({label})"
+
+
 def test_a_look_at_no_log_ends_in_one_line_that_shows_the_value(command, tmp_path):
     (tmp_path / "log.csv").write_text("time,T1_degC\nnoon,20\n1 pm,21\n")
     code, out, err = command("look", "log.csv", "--out", "log.png")
