@@ -25,7 +25,7 @@ class Cleaned:
     sensors: tuple[str, ...]
     drives: tuple[str, ...]
     displacements: tuple[str, ...]
-    #: One for each sensor that is excluded or repaired.
+    #: One for each sensor that is excluded or repaired, and each column with spikes.
     faults: tuple[str, ...]
     #: Limitations of the log.
     warnings: tuple[str, ...]
@@ -42,7 +42,7 @@ def clean(table: Table, displacements: tuple[str, ...], rules: Cleaning) -> Clea
     ------
     InputError
         The log is too short, nothing warms the machine, no sensor is usable, or a displacement is
-        constant, mostly missing, or jumps.
+        constant, mostly missing, has many spikes, or jumps.
     """
     names, length = table.names, longest_run(table, read_time(table))
     if length < rules.shortest:
@@ -64,6 +64,8 @@ def clean(table: Table, displacements: tuple[str, ...], rules: Cleaning) -> Clea
     sensors: list[str] = []
     for k, column in enumerate(table.columns):
         if column.quantity != "temperature" or column.name in displacements:
+            if table.spikes[k]:
+                faults.append(_spikes_left_out(table, k))
             continue
         fault = _fault(table, k, changes, rules)
         if fault is None:
@@ -71,9 +73,7 @@ def clean(table: Table, displacements: tuple[str, ...], rules: Cleaning) -> Clea
         else:
             faults.append(f"{column.name}: {fault}; left out")
         if fault is None and table.spikes[k]:
-            count = int(table.spikes[k])
-            spikes = f"{count} spikes; they are" if count > 1 else "1 spike; it is"
-            faults.append(f"{column.name}: {spikes} left out")
+            faults.append(_spikes_left_out(table, k))
         if fault is None and table.missing[k]:
             faults.append(f"{column.name}: {int(table.missing[k])} readings missing; bridged")
     if not sensors and (faults or not drives):
@@ -224,8 +224,19 @@ def _jump(values: Array, changing: Flags, rules: Cleaning) -> tuple[int, float] 
     return None
 
 
+def _spikes_left_out(table: Table, k: int) -> str:
+    count = int(table.spikes[k])
+    spikes = f"{count} spikes; they are" if count > 1 else "1 spike; it is"
+    return f"{table.columns[k].name}: {spikes} left out"
+
+
 def _check_displacement(table: Table, k: int, changing: Flags, rules: Cleaning) -> None:
     column, values = table.columns[k], table.values[:, k]
+    if table.spikes[k] > rules.spikes * table.samples:
+        raise InputError(
+            f"{column.name}: {int(table.spikes[k])} spikes in {table.samples} samples; check the "
+            "probe and its cable, or leave these readings empty"
+        )
     there = np.isfinite(values)
     if there.mean() < 1.0 - rules.displacement_missing:
         raise InputError(

@@ -121,7 +121,8 @@ def learn_and_judge(
         raise InputError(f"--max-sensors {max_sensors}: give one or more")
     rules = Rules()
     pieces, still, moving = sorted_out(pieces, displacements, rules.thinning)
-    table = in_one_order(thinned(pieces, (), rules.thinning))
+    at_one_place = (*still, *(name for one in moving for name in one.at_one_place))
+    table = in_one_order(thinned(pieces, (), rules.thinning, at_one_place))
     if not displacements:
         length = next((one.name for one in table.columns if one.is_displacement), "x_um")
         raise InputError(f"log: name what to learn, e.g. --displacement {length}")

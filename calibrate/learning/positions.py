@@ -39,6 +39,12 @@ class Along:
     stroke: tuple[float, float] = (np.nan, np.nan)
 
     @property
+    def at_one_place(self) -> tuple[str, ...]:
+        """The columns that were read at one position each."""
+        columns = zip(self.displacements, self.positions, strict=True)
+        return tuple(name for name, at in columns if not isinstance(at, str))
+
+    @property
     def reference(self) -> float:
         """P0, the middle of the stroke, m."""
         return 0.5 * sum(self.stroke)

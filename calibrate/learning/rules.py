@@ -23,11 +23,20 @@ class Thinning:
     #: Mean times of uneven samples vary by up to this factor around the interval.
     uneven: float = 1.5
     #: A value is a spike if it is above, or below, the medians of `neighbours` values on either
-    #: side by `spike` times their usual distance and by `least_spike`, K. The latter grows with the
-    #: interval of a slower log, since the machine warms up between its samples.
+    #: side by `spike` times their usual distance and by `least_spike`, K, or, of a displacement,
+    #: `least_spike_length`, m. These grow with the interval of a slower log, since the machine
+    #: warms up between its samples.
     spike: float = 12.0
     neighbours: int = 4
     least_spike: float = 0.5
+    least_spike_length: float = 5e-6
+    #: A displacement has no spike where a drive changes by this part of its largest value.
+    changed: float = 0.1
+    #: A speed is a spike if it is above this multiple of every speed that was held, the median of
+    #: `held` values, in at most the share `seldom` of the samples.
+    beyond_held: float = 4.0
+    held: int = 5
+    seldom: float = 1e-2
 
 
 @dataclass(frozen=True)
@@ -175,6 +184,9 @@ class Transfer:
     #: Sizes of the drift relative to the sisters', that are averaged over: their held-out error is
     #: that of a shorter log.
     drifts: tuple[float, ...] = (1.0, 2.0, 4.0, 8.0)
+    #: A reading so many standard deviations from what the others let expect, and so many times
+    #: further from the sisters' estimate than is usual, is left out.
+    misread: float = 8.0
     #: Fewer readings are refused; of more than `most`, that number is used, evenly.
     fewest: int = 4
     most: int = 300

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,6 +14,9 @@ from thermojoint.artefacts.arrays import Array, Flags
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log, runs_in
 from thermojoint.artefacts.quantities import Column
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 #: Quantities that drive heat: by their magnitude, whatever their sign.
 DRIVES = frozenset({"speed", "feed", "power", "current", "torque", "load"})
@@ -76,7 +80,10 @@ def in_one_order(table: Table) -> Table:
 
 
 def thinned(
-    pieces: Iterable[Log], names: Sequence[str] = (), rules: Thinning | None = None
+    pieces: Iterable[Log],
+    names: Sequence[str] = (),
+    rules: Thinning | None = None,
+    still: Sequence[str] = (),
 ) -> Table:
     """Return the table of a log that is read in pieces; memory is bounded by that of the table.
 
@@ -88,6 +95,9 @@ def thinned(
         Columns to keep, with their units; none for all.
     rules : Thinning, optional
         Intervals, rows, and definition of a spike.
+    still : sequence of str, optional
+        Displacements read at one place: their spikes are removed, too, as those of temperatures and
+        speeds are.
 
     Raises
     ------
@@ -114,9 +124,8 @@ def thinned(
         samples += len(piece.times)
         values = piece.values[:, at]
         missing += np.isnan(values).sum(axis=0)
-        step = float(np.median(np.diff(piece.times))) if len(piece.times) > 1 else 0.0
-        slower = replace(rules, least_spike=rules.least_spike * max(1.0, step / rules.interval))
-        values, counts = without_spikes(values, [column.quantity for column in here], slower)
+        still_here = {piece.columns[piece.index(name)].name for name in still}
+        values, counts = without_spikes(piece.times, values, here, still_here, rules)
         spikes += counts
         driving = np.array([column.quantity in DRIVES for column in here])
         rows.extend(_means(piece.times, values, interval, driving))
@@ -147,26 +156,83 @@ def _usual_step(times: Array, interval: float, uneven: float) -> float:
 
 
 def without_spikes(
-    values: Array, quantities: Sequence[str], rules: Thinning
+    times: Array, values: Array, columns: Sequence[Column], still: Collection[str], rules: Thinning
 ) -> tuple[Array, Array]:
-    """Return values with NaN for spikes of temperatures, and the number of spikes of each."""
+    """Return values with NaN for spikes, and the number of spikes of each column.
+
+    Parameters
+    ----------
+    times : ndarray, shape (k,)
+        s.
+    values : ndarray, shape (k, columns)
+        SI.
+    columns : sequence of Column
+        Temperatures and speeds have spikes.
+    still : collection of str
+        Displacements that have spikes, too.
+    rules : Thinning
+        What a spike is.
+    """
+    spikes = np.zeros(values.shape, dtype=bool)
+    for k, column in enumerate(columns):
+        if column.quantity == "temperature":
+            spikes[:, k] = _beyond_neighbours(times, values[:, k], rules.least_spike, rules)
+        elif column.quantity == "speed":
+            spikes[:, k] = _never_held(values[:, k], rules)
+        elif column.name in still:
+            there = np.isfinite(values[:, k])
+            least = rules.least_spike_length
+            spikes[there, k] = _beyond_neighbours(times[there], values[there, k], least, rules)
+    driving = [k for k, column in enumerate(columns) if column.quantity in DRIVES]
+    if driving:
+        # The heat and the forces of a change may move the machine at once.
+        changing = _changing(np.where(spikes, np.nan, values)[:, driving], rules)
+        spikes[:, [column.name in still for column in columns]] &= ~changing[:, None]
+    return np.where(spikes, np.nan, values), spikes.sum(axis=0).astype(float)
+
+
+def _beyond_neighbours(times: Array, values: Array, least: float, rules: Thinning) -> Flags:
+    """Return which values are above, or below, both those before and after them."""
     import pandas as pd
 
-    kept, count = values.copy(), np.zeros(values.shape[1])
-    for k, quantity in enumerate(quantities):
-        if quantity != "temperature":
-            continue
-        column = pd.Series(values[:, k])
-        before = column.rolling(rules.neighbours, min_periods=2).median().shift(1)
-        after = column[::-1].rolling(rules.neighbours, min_periods=2).median().shift(1)[::-1]
-        over, under = column - before.fillna(after), column - after.fillna(before)
-        usual = over.abs().rolling(20 * rules.neighbours, center=True, min_periods=3).median()
-        limit = np.maximum(rules.spike * usual, rules.least_spike)
-        # A corner or a ramp lies above one side and below the other, or near one of them.
-        spike = ((over > limit) & (under > limit)) | ((over < -limit) & (under < -limit))
-        kept[spike.to_numpy(), k] = np.nan
-        count[k] = spike.sum()
-    return kept, count
+    step = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+    column = pd.Series(values)
+    before, after = _sides(column, rules)
+    over, under = column - before.fillna(after), column - after.fillna(before)
+    usual = over.abs().rolling(20 * rules.neighbours, center=True, min_periods=3).median()
+    limit = np.maximum(rules.spike * usual, least * max(1.0, step / rules.interval))
+    # A corner or a ramp lies above one side and below the other, or near one of them.
+    spike = ((over > limit) & (under > limit)) | ((over < -limit) & (under < -limit))
+    return np.asarray(spike.to_numpy())
+
+
+def _sides(column: pd.Series, rules: Thinning) -> tuple[pd.Series, pd.Series]:
+    """Return the medians of the values before and after each one."""
+    before = column.rolling(rules.neighbours, min_periods=2).median().shift(1)
+    after = column[::-1].rolling(rules.neighbours, min_periods=2).median().shift(1)[::-1]
+    return before, after
+
+
+def _never_held(speeds: Array, rules: Thinning) -> Flags:
+    """Return which speeds are far above every one that was held; none if these are many."""
+    import pandas as pd
+
+    sizes = pd.Series(np.abs(speeds)).dropna()
+    held = float(sizes.rolling(rules.held, center=True).median().max())
+    far = np.abs(speeds) > rules.beyond_held * held
+    return far if held > 0.0 and far.mean() <= rules.seldom else np.zeros_like(far)
+
+
+def _changing(drives: Array, rules: Thinning) -> Flags:
+    """Return at which rows a drive (k, drives) differs from its values before or after, (k,)."""
+    import pandas as pd
+
+    changing = np.zeros(len(drives), dtype=bool)
+    for sizes in np.abs(drives).T:
+        largest = float(np.nanmax(sizes, initial=0.0))
+        for side in _sides(pd.Series(sizes), rules):
+            changing |= np.abs(sizes - side.to_numpy()) > rules.changed * largest
+    return changing
 
 
 def _means(

@@ -104,10 +104,11 @@ def learn_like(
     known = [channel.name for channel in first.channels]
     wanted = [_known_name(name, known) for name in displacements]
     cleaned = _cleaned(pieces, first, wanted, rules)
-    channels, errors = [], []
+    channels, errors, misreadings = [], [], list[str]()
     for name in wanted:
-        readings = _readings(cleaned, first, name, rules)
         prior = _prior(sisters, known.index(name))
+        readings, wrong = _readings(cleaned, first, name, prior, rules)
+        misreadings += wrong
         posterior = fitted(readings, prior, rules.transfer)
         judged, deviations = _judged(readings, prior, rules)
         errors.append(judged)
@@ -134,18 +135,15 @@ def learn_like(
         tuple(channels),
         {name: _union(first.spans[name], cleaned.at(name)) for name in first.columns},
         max(first.duration_s, longest_run(cleaned.table, cleaned.table.times)),
-        learned_from(cleaned, rms, worst, _no_better(wanted, rms)),
+        learned_from(cleaned, rms, worst, (*misreadings, *_no_better(wanted, rms))),
         log_end=end_of(cleaned, first.features),
     )
 
 
 def fitted(readings: Readings, prior: Prior, rules: Transfer) -> Posterior:
     """Return the posterior of a displacement after readings, averaged over the grid of `rules`."""
-    features, apart = readings.features, readings.times[:, None] - readings.times
-    correlated = (readings.runs[:, None] == readings.runs) * np.exp(
-        -np.abs(apart) / Following().drift_time
-    )
-    noise = READING_NOISE**2 * np.eye(len(apart))
+    features, correlated = readings.features, _correlated(readings)
+    noise = READING_NOISE**2 * np.eye(len(features))
     zero = prior.zero_spread**2
     residual = readings.displacements - prior.zero - features @ prior.weights
     means, spreads, zeros, drifts, evidence = [], [], [], [], []
@@ -172,6 +170,39 @@ def fitted(readings: Readings, prior: Prior, rules: Transfer) -> Posterior:
         0.5 * (covariance + covariance.T),
         float(np.sqrt(share @ np.array(drifts))),
     )
+
+
+def misread(readings: Readings, prior: Prior, rules: Transfer) -> NDArray[np.bool_]:
+    """Return which readings of one run are far from what the prior and the others let expect.
+
+    Far is `Transfer.misread` times its standard deviation by the widest prior that `fitted`
+    averages over, with a free zero, and as many times the usual distance from the sisters'
+    estimate. The furthest reading is taken out first: it spoils what is expected of the others.
+    """
+    features = readings.features
+    spread = prior.covariance + np.diag((max(rules.relative) * prior.weights) ** 2)
+    whole = features @ spread @ features.T + READING_NOISE**2 * np.eye(len(features))
+    whole += (max(rules.drifts) * prior.drift) ** 2 * _correlated(readings)
+    residual = readings.displacements - features @ prior.weights
+    kept = np.arange(len(features))
+    while len(kept) > 2:
+        own = residual[kept] - np.median(residual[kept])
+        away = np.abs(own)
+        inverse = np.linalg.inv(whole[np.ix_(kept, kept)] + away.max() ** 2)
+        # The error of each one estimated from the others, by its standard deviation.
+        unexpected = np.abs(inverse @ own) / np.sqrt(np.diag(inverse))
+        usual = float(np.median(away))
+        if unexpected.max() <= rules.misread or away.max() <= rules.misread * usual:
+            break
+        kept = np.delete(kept, away.argmax())
+    return ~np.isin(np.arange(len(features)), kept)
+
+
+def _correlated(readings: Readings) -> Array:
+    """Return the correlation of the drift between readings; none between runs."""
+    apart = readings.times[:, None] - readings.times
+    same = readings.runs[:, None] == readings.runs
+    return np.asarray(same * np.exp(-np.abs(apart) / Following().drift_time))
 
 
 def _fitting(sisters: Sequence[LearnedModel]) -> LearnedModel:
@@ -220,7 +251,7 @@ def _cleaned(
 ) -> Cleaned:
     """Return the log's columns by the sister's names; all columns of the sister must be usable."""
     names = [*sister.columns, *wanted]
-    table = thinned(pieces, names, rules.thinning)
+    table = thinned(pieces, names, rules.thinning, wanted)
     columns = [column_named(name) for name in names]
     own = tuple(column or there for column, there in zip(columns, table.columns, strict=True))
     cleaned = clean(replace(table, columns=own), (), rules.cleaning)
@@ -233,22 +264,34 @@ def _cleaned(
     return cleaned
 
 
-def _readings(cleaned: Cleaned, sister: LearnedModel, name: str, rules: Rules) -> Readings:
-    """Return the readings of a displacement, at most `Transfer.most`.
+def _readings(
+    cleaned: Cleaned, sister: LearnedModel, name: str, prior: Prior, rules: Rules
+) -> tuple[Readings, list[str]]:
+    """Return the readings of a displacement, at most `Transfer.most`, and a line on each misread.
 
     Each run has its own zero, so that only the variations within each are used.
     """
-    table, parts = cleaned.table, []
+    table, parts, wrong = cleaned.table, list[Readings](), list[str]()
     for number, run in enumerate(table.runs()):
         times, read = table.times[run], cleaned.at(name)[run]
         features = features_of(sister.features, table.names, (times, table.values[run]))
         kept = np.isfinite(read) & known_rows(cleaned, run, rules.features)
-        parts.append(Readings(times, np.full(times.size, number), features, read).at(kept))
+        part = Readings(times, np.full(times.size, number), features, read).at(kept)
+        # More are a whole log, of which `without_spikes` has removed them.
+        if len(part.times) <= rules.transfer.most:
+            bad = misread(part, prior, rules.transfer)
+            wrong += [
+                f"{name}: {MEGA * value:.4g} um {(time - times[0]) / 3600.0:.1f} h after the start "
+                "is far from what the other readings and the given model let expect; left out"
+                for time, value in zip(part.times[bad], part.displacements[bad], strict=True)
+            ]
+            part = part.at(~bad)
+        parts.append(part)
     count, most = sum(len(part.times) for part in parts), rules.transfer.most
     if count < rules.transfer.fewest:
         raise InputError(
             f"{name}: {count} readings, those soon after a start on a running machine not counted; "
-            f"give {rules.transfer.fewest} or more"
+            f"give {rules.transfer.fewest} or more" + "".join(f"; {line}" for line in wrong[:1])
         )
     parts = [part for part in parts if len(part.times)]
     found = Readings(
@@ -257,7 +300,8 @@ def _readings(cleaned: Cleaned, sister: LearnedModel, name: str, rules: Rules) -
         within_runs([part.features for part in parts]),
         within_runs([part.displacements for part in parts]),
     )
-    return found.at(np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)))
+    kept = np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))
+    return found.at(kept), wrong
 
 
 def _rms(errors: Array) -> float:

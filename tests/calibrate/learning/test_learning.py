@@ -182,6 +182,60 @@ def test_a_few_spikes_are_left_out_and_the_sensor_stays():
     assert found.spans.get("T1_degC", (0.0, 0.0))[1] < 273.15 + 45.0
 
 
+@pytest.mark.parametrize("size_um", [-999.0, 300.0])
+def test_misreadings_of_a_displacement_are_left_out_and_named(model, size_um):
+    """A displacement may be -999 mm, so that no number is an error value by itself."""
+
+    def two(values):
+        values[[300, 500]] = 1e-6 * size_um
+        return values
+
+    found = learn([changed(LOG, "x_um", two)], AXES, 4)
+    assert found.learned_from.faults == ("x_um: 2 spikes; they are left out",)
+    errors, clean = (one.learned_from.errors_um["learned"] for one in (found, model))
+    np.testing.assert_allclose(errors, clean, rtol=0.05)
+    assert found.channels[0].span[1] < 30e-6
+
+
+def test_a_probe_that_often_misreads_is_refused():
+    with pytest.raises(InputError, match=r"x_um: 2\d spikes in 840 samples; check the probe"):
+        learn([changed(LOG, "x_um", spiked)], AXES, 4)
+
+
+def test_a_displacement_that_a_short_run_explains_is_no_spike():
+    """A spindle is drawn back at once by the forces of its speed."""
+
+    def short(size):
+        def there(values):
+            values[np.arange(50, len(values), 150)] += size
+            return values
+
+        return there
+
+    log = changed(still(LOG, "n_rpm"), "n_rpm", short(300.0))
+    log = changed(log, "x_um", short(30e-6))
+    assert learn([log], AXES, 4).learned_from.faults == ()
+
+
+def test_a_speed_far_above_every_one_that_was_held_is_left_out_and_named(model):
+    def once(values):
+        values[500] = 60000.0 * np.pi / 30.0
+        return values
+
+    found = learn([changed(LOG, "n_rpm", once)], AXES, 4)
+    assert found.learned_from.faults == ("n_rpm: 1 spike; it is left out",)
+    assert found.spans["n_rpm"] == model.spans["n_rpm"]
+
+
+def test_short_runs_of_a_spindle_that_often_happen_are_no_spikes():
+    def often(values):
+        values[::60] = 60000.0 * np.pi / 30.0
+        return values
+
+    found = learn([changed(LOG, "n_rpm", often)], AXES, 4)
+    assert not any("spike" in fault for fault in found.learned_from.faults)
+
+
 def still(log, *names):
     for name in names:
         log = changed(log, name, lambda values: values * 0.0 + values[0])

@@ -79,6 +79,39 @@ def test_readings_that_the_sister_explains_change_little(sister):
     assert (rms(model, same) < rms(moved, same) + 0.5).all()
 
 
+@pytest.mark.parametrize("rows", [[540], [240], [465, 540]])
+@pytest.mark.parametrize("size_um", [-999.0, 100.0])
+def test_a_reading_far_from_what_the_others_and_the_sister_let_expect_is_left_out(
+    sister, rows, size_um
+):
+    def misread(values):
+        values[rows] = 1e-6 * size_um
+        return values
+
+    model = learn_like([read_at(changed(WEAKER, "x_um", misread), FEW)], AXES, [sister])
+    origin = model.learned_from
+    told = [text for text in (*origin.faults, *origin.warnings) if "left out" in text]
+    assert told
+    assert all(text.startswith("x_um: ") for text in told)
+    assert rms(model)[0] < 0.8
+
+
+@pytest.mark.parametrize("log", [WEAKER, like_it(LOG, -3.0, 2000.0), like_it(LOG, 3.0)])
+def test_no_reading_of_a_very_different_machine_is_left_out(sister, log):
+    origin = learn_like([read_at(log, FEW)], AXES, [sister]).learned_from
+    assert "left out" not in " ".join((*origin.faults, *origin.warnings))
+
+
+def test_too_few_readings_are_refused_with_the_one_that_was_left_out(sister):
+    def misread(values):
+        values[540] = 300e-6
+        return values
+
+    few = read_at(changed(WEAKER, "x_um", misread), range(240, 840, 150))
+    with pytest.raises(InputError, match=r"x_um: 3 readings, .*; x_um: 300 um 9.0 h after"):
+        learn_like([few], AXES, [sister])
+
+
 def test_each_run_has_its_own_zero(sister):
     early, late = (read_at(like_it(LOG, 0.7, zero), FEW) for zero in (0.0, 200.0))
     model = learn_like([early, late], AXES, [sister])
