@@ -192,3 +192,20 @@ def nominal_interval(
     if len(first) < 2:
         raise InputError(f"{where}: fewer than two samples; give more, or --interval-s")
     return first[1][0] - first[0][0], chain(first, samples)
+
+
+def some(samples: Iterable[Sample], where: str) -> Iterator[Sample]:
+    """Yield samples as they arrive.
+
+    Raises
+    ------
+    InputError
+        There was none; `where` is their origin.
+    """
+    sample = None
+    for sample in samples:
+        yield sample
+    if sample is None:
+        raise InputError(
+            f"{where}: no samples; give rows below the header, with every reading of the model"
+        )

@@ -313,6 +313,7 @@ def estimate(  # noqa: PLR0913 - the options of a command
             if save:
                 save_state(estimator, state, save, cold.value)
 
+        samples = measured.some(samples, where)
         _write_estimates(estimator, state, samples, out, keep if save else None, asks)
     console.wrote(out, save)
 

@@ -479,6 +479,27 @@ def test_a_logger_stopped_by_a_signal_leaves_its_state(files_at_hand, tmp_path):
     assert json.loads(state.read_text())["state"][0] == 2.0
 
 
+def test_a_log_without_a_complete_row_is_refused_and_a_stream_keeps_its_state(
+    command, files_at_hand, tmp_path, monkeypatch
+):
+    model, state = files_at_hand / "model.json", tmp_path / "state.json"
+    header = "time_s,delta_T_K,T1_K,T2_K\n"
+    options = ["--interval-s", "2", "--save-state", state, "--out"]
+    for rows in ("", "0,0.1,,0\n2,0.1,,0\n"):
+        (tmp_path / "log.csv").write_text(header + rows, encoding="utf-8")
+        code, _, err = command(
+            "estimate", model, tmp_path / "log.csv", *options, tmp_path / "e.csv"
+        )
+        assert code == 2
+        assert "log.csv: no samples; give rows below the header" in err
+        assert [path.name for path in tmp_path.iterdir()] == ["log.csv"]
+    monkeypatch.setattr(sys, "stdin", iter([header]))
+    code, out, err = command("estimate", model, "-", *options, "-")
+    assert (code, out.count("\n")) == (2, 1)
+    assert "standard input: no samples" in err
+    assert state.exists()
+
+
 def test_an_interrupted_estimate_leaves_no_file(files_at_hand, tmp_path):
     arguments = ["estimate", files_at_hand / "model.json", "-", "--out", tmp_path / "out.csv"]
     with subprocess.Popen(
