@@ -14,7 +14,7 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log
 from thermojoint.artefacts.log_file import read_log
-from thermojoint.artefacts.log_record import check_zones
+from thermojoint.artefacts.log_record import check_orders, check_zones
 from thermojoint.artefacts.quantities import column_named
 from thermojoint.artefacts.tables.clock import tells_date
 
@@ -62,11 +62,13 @@ def beside(pieces: Iterable[Log], readings: Path) -> Iterator[Log]:
     Raises
     ------
     InputError
-        Only one of the clocks has a time zone.
+        Only one of the clocks has a time zone, or their dates are read in two orders.
     """
     for number, piece in enumerate(pieces):
         if number == 0:
-            check_zones(read_log([readings]).records[0], piece.records[0])
+            record = read_log([readings]).records[0]
+            check_zones(record, piece.records[0])
+            check_orders(record, piece.records[0])
         yield piece
 
 

@@ -18,8 +18,12 @@ import numpy as np
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log, joined
 from thermojoint.artefacts.log_record import (
+    Record,
     check_dates,
+    check_follows,
+    check_orders,
     check_zones,
+    common_order,
     moment_text,
     moved,
     with_times,
@@ -84,8 +88,8 @@ def log_pieces(paths: Sequence[Path], renamed: Mapping[str, str] | None = None) 
     later ones.
     """
     before: Log | None = None
-    for path, note in _in_order(paths, renamed):
-        for k, piece in enumerate(_after(before, _pieces_in_file(path, renamed, ROWS))):
+    for path, note, order in _in_order(paths, renamed):
+        for k, piece in enumerate(_after(before, _pieces_in_file(path, renamed, ROWS, order))):
             before = piece
             notes = (note,) if note and not k else ()
             records = tuple(
@@ -102,6 +106,9 @@ def _after(before: Log | None, pieces: Iterable[Log]) -> Iterator[Log]:
         if before:
             check_dates(record, before.records[0])
             check_zones(record, before.records[0])
+            check_orders(record, before.records[0])
+            if not k:
+                check_follows(record, before.records[0])
         if before is None or not record.dated:
             yield piece
             continue
@@ -135,15 +142,23 @@ def _without_repeated(before: Log, piece: Log) -> Iterator[Log]:
         yield replace(piece.part(slice(1, None)), records=(record,))
 
 
-def _pieces_in_file(path: Path, renamed: Mapping[str, str] | None, rows: int) -> Iterator[Log]:
+def _pieces_in_file(
+    path: Path, renamed: Mapping[str, str] | None, rows: int, order: str = ""
+) -> Iterator[Log]:
     with lines_of(Path(path), "log") as lines:
-        yield from pieces_in(lines, str(path), renamed, rows)
+        yield from pieces_in(lines, str(path), renamed, rows, order)
 
 
-def _in_order(paths: Sequence[Path], renamed: Mapping[str, str] | None) -> list[tuple[Path, str]]:
-    """Return the files sorted by time, each with a note for the user or an empty text."""
+def _in_order(
+    paths: Sequence[Path], renamed: Mapping[str, str] | None
+) -> list[tuple[Path, str, str]]:
+    """Return the files sorted by time, each with a note, and the order of its dates.
+
+    Both may be empty: there is nothing to note, and the file itself shows the order.
+    """
     if len(paths) < 2:
-        return [(path, "") for path in paths]
+        orders = [_orders_of(path, _begun(path, renamed), renamed) for path in paths]
+        return [(path, "", common_order(orders)) for path in paths]
     seen: dict[str, Path] = {}
     repeated: dict[Path, list[Path]] = {}
     kept: list[Path] = []
@@ -154,7 +169,13 @@ def _in_order(paths: Sequence[Path], renamed: Mapping[str, str] | None) -> list[
             kept.append(path)
         else:
             repeated.setdefault(known, []).append(path)
-    begins = [_begin(path, renamed) for path in kept]
+    begun = [_begun(path, renamed) for path in kept]
+    of_dates = common_order(
+        _orders_of(path, record, renamed) for path, record in zip(kept, begun, strict=True)
+    )
+    begins = [
+        record and record.by_other_orders.get(of_dates, (record.first,))[0] for record in begun
+    ]
     order = list(range(len(kept)))
     if None not in begins:
         order.sort(key=lambda k: begins[k] or 0.0)
@@ -164,11 +185,38 @@ def _in_order(paths: Sequence[Path], renamed: Mapping[str, str] | None) -> list[
         note = [f"same content as {path}, which is left out" for path in doubles]
         if place != k:
             note.append(f"given as file {k + 1}, read as file {place + 1}, sorted by time")
-        notes.append((kept[k], "; ".join(note)))
+        notes.append((kept[k], "; ".join(note), of_dates))
     return notes
 
 
-def _begin(path: Path, renamed: Mapping[str, str] | None) -> float | None:
-    """Return the first time of a file, s since 1970; None if its clock has no date."""
+def _begun(path: Path, renamed: Mapping[str, str] | None) -> Record | None:
+    """Return the record of the first rows of a file; None without rows or a date."""
     piece = next(_pieces_in_file(path, renamed, 2), None)
-    return float(piece.times[0]) if piece is not None and piece.records[0].dated else None
+    return piece.records[0] if piece is not None and piece.records[0].dated else None
+
+
+def _orders_of(
+    path: Path, record: Record | None, renamed: Mapping[str, str] | None
+) -> tuple[str, ...]:
+    """Return the orders in which the dates of a file can be read to its end, the usual one first.
+
+    Its first rows leave the order open if `record`, theirs, has others.
+    """
+    if record is None or not record.order:
+        return ()
+    if not record.by_other_orders:
+        return (record.order,)
+    return tuple(
+        order
+        for order in (record.order, *record.by_other_orders)
+        if _is_readable(path, renamed, order)
+    )
+
+
+def _is_readable(path: Path, renamed: Mapping[str, str] | None, order: str) -> bool:
+    try:
+        for _ in _pieces_in_file(path, renamed, ROWS, order):
+            pass
+    except InputError:
+        return False
+    return True

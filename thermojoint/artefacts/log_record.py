@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 import numpy as np
 
 from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.date_orders import ORDERS, shorter_order, two_orders
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.quantities import Column
 
@@ -36,6 +37,10 @@ class Record:
     dated: bool = False
     #: Whether times are local, in an unknown zone.
     local: bool = False
+    #: Order in which dates were read, a key of `thermojoint.artefacts.date_orders.ORDERS`.
+    order: str = ""
+    #: Each other order that fits the first dates to the time of the first and of the last row, s.
+    by_other_orders: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     #: Shift of the last row by changes of summer time, s.
     shift: float = 0.0
     #: Number of rows used.
@@ -129,6 +134,49 @@ def check_dates(record: Record, other: Record) -> None:
             f"{one.where}: its clock has no date, that of {another.where} has; give every file of "
             "a log the same clock"
         )
+
+
+def common_order(orders: Iterable[Sequence[str]]) -> str:
+    """Return the first order of a file's dates that fits those of all files; empty without one."""
+    several = [own for own in orders if own]
+    return next((own[0] for own in several if all(own[0] in other for other in several)), "")
+
+
+def check_orders(record: Record, other: Record) -> None:
+    """Refuse two clocks whose dates are read in two orders.
+
+    Raises
+    ------
+    InputError
+        Each fits its own dates.
+    """
+    if record.order and other.order and record.order != other.order:
+        raise InputError(
+            f"{record.where}: its dates are read {ORDERS[record.order]}, those of {other.where} "
+            f"{ORDERS[other.order]}; write them year first with four digits, like 2026-03-02"
+        )
+
+
+def check_follows(record: Record, before: Record) -> None:
+    """Refuse a file that follows another after weeks, but soon by another order of the dates.
+
+    Parameters
+    ----------
+    record, before : Record
+        For a file, and for the file before it in the order of time.
+
+    Raises
+    ------
+    InputError
+        With what to write.
+    """
+    step = record.first - before.last
+    ends = {order: last for order, (_, last) in before.by_other_orders.items()}
+    begins = {order: first for order, (first, _) in record.by_other_orders.items()}
+    order, other = shorter_order(step, ends, begins)
+    if order:
+        both = two_orders((record.order, step), (order, other))
+        raise InputError(f"{record.where}: since {before.where} {both}")
 
 
 def merged(records: Iterable[Record]) -> tuple[Record, ...]:

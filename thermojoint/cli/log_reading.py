@@ -55,7 +55,8 @@ def opened_log(path: Path, renamed: Mapping[str, str]) -> Iterator[Iterator[Log]
 
     Rows of a stream are yielded one by one as they arrive.
     """
-    from thermojoint.artefacts.tables.pieces import ROWS, pieces_in
+    from thermojoint.artefacts.log_file import log_pieces
+    from thermojoint.artefacts.tables.pieces import pieces_in
 
     with arguments.opened(path) as source:
         if source is None:
@@ -63,7 +64,7 @@ def opened_log(path: Path, renamed: Mapping[str, str]) -> Iterator[Iterator[Log]
         elif str(path) == "-":
             yield reported_live(pieces_in(source, arguments.shown(path), renamed, 1))
         else:
-            yield reported(pieces_in(source, str(path), renamed, ROWS))
+            yield reported(log_pieces([path], renamed))
 
 
 def reported(pieces: Iterable[Log]) -> Iterator[Log]:

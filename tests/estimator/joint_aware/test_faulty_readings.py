@@ -212,6 +212,14 @@ def test_readings_in_local_time_are_not_taken_as_those_of_another_zone(tmp_path,
         assert [piece.times[0] for piece in pieces] == read_probe_readings(readings, ("x",))[0]
 
 
+def test_readings_whose_dates_are_in_another_order_than_those_of_the_log_are_refused(tmp_path):
+    readings, log = tmp_path / "probe.csv", tmp_path / "log.csv"
+    readings.write_text("time,x_um\n02/03/2026 08:00:00,1\n")
+    log.write_text("time,T1_degC\n13/03/2026 08:00:00,20\n")
+    with pytest.raises(InputError, match=r"probe\.csv: its dates are read month before day, those"):
+        list(beside(log_pieces([log]), readings))
+
+
 def test_a_reading_in_another_unit_than_the_column_of_its_axis_is_one(tmp_path):
     """It was left out where another axis was read in the unit of its column."""
     path = tmp_path / "probe.csv"

@@ -145,6 +145,76 @@ def test_clocks_tell_how_much_time_passed(name, cells, steps):
         np.testing.assert_array_equal(np.diff(clock(cells, name).times), steps)
 
 
+#: A day of March as text, in the orders in which dates are written.
+DAYS_OF_MARCH = {
+    "day before month": "{:02d}/03/2026",
+    "month before day": "03/{:02d}/2026",
+    "year before month": "26-03-{:02d}",
+    "year first with slashes": "26/03/{:02d}",
+    "day first with dashes": "{:02d}-03-26",
+}
+
+
+def days_of_march(date, *days):
+    """Rows of whole days, every 4 min: the first 256 lines show the first of them only."""
+    return "".join(
+        f"{date.format(day)} {k // 15:02d}:{4 * (k % 15):02d};{k}\n"
+        for day in days
+        for k in range(360)
+    )
+
+
+@pytest.mark.parametrize("date", DAYS_OF_MARCH.values(), ids=DAYS_OF_MARCH)
+def test_the_order_of_dates_is_that_in_which_days_follow_each_other(date, tmp_path):
+    for parts in ([(2, 3, 4)], [(2, 3), (4,)]):
+        rows = (days_of_march(date, *days) for days in parts)
+        log = read_log(files_of(tmp_path, *(f"time;x_um\n{own}" for own in rows)))
+        assert log.times[0] == 1772409600.0  # 2026-03-02
+        np.testing.assert_array_equal(np.diff(log.times), 240.0)
+        assert log.starts == (0,)
+
+
+@pytest.mark.parametrize("kind", ["day before month", "year before month"])
+def test_days_that_are_weeks_apart_only_by_the_order_of_their_dates_are_refused(kind, tmp_path):
+    """In a stream, whose first row leaves the order open, and in files of one day each."""
+    date, header = DAYS_OF_MARCH[kind], "time;x_um\n"
+    stream = f"{header}{days_of_march(date, 2, 3)}".splitlines(keepends=True)
+    with pytest.raises(InputError, match=rf"log, line 362: from .* pass .* d if {kind}; write"):
+        joined(pieces_in(stream, "log", rows=1))
+    files = files_of(tmp_path, *(header + days_of_march(date, day) for day in (2, 3)))
+    with pytest.raises(InputError, match=rf"2\.csv: since .*1\.csv pass .* d if {kind}; write"):
+        read_log(files)
+
+
+def test_days_that_their_dates_put_in_a_wrong_order_are_refused(tmp_path):
+    """31 March and 1 April of 2026, which would be days of 2031 and of 2001."""
+    files = files_of(tmp_path, "time;x_um\n26-03-31 23:00;1\n", "time;x_um\n26-04-01 00:00;1\n")
+    with pytest.raises(InputError, match=r"1\.csv: since .*2\.csv pass .* d if year before month"):
+        read_log(files)
+
+
+def test_files_whose_dates_fit_no_common_order_are_refused(tmp_path):
+    header = "time;x_um\n"
+    files = files_of(tmp_path, f"{header}13/03/2026 06:00;1\n", f"{header}03/14/2026 06:00;1\n")
+    with pytest.raises(InputError, match=r"2\.csv: its dates are read month before day, those of"):
+        read_log(files)
+
+
+def test_a_pause_of_weeks_stays_a_pause(tmp_path):
+    for first, last in (("03/02/2026", "03/23/2026"), ("02.03.26", "02.04.26")):
+        text = f"time;x_um\n{first} 06:00;1\n{first} 06:01;1\n{last} 06:00;1\n"
+        log = read_log(files_of(tmp_path, text))
+        assert np.diff(log.times)[1] > 20 * 86_400.0
+
+
+def test_a_time_of_day_beyond_a_day_is_the_time_since_the_start():
+    steps = np.diff(clock(["23:00:00", "24:00:00", "30:00:00", "99:59:59", "100:00:00"]).times)
+    assert steps.tolist() == [3600.0, 21_600.0, 251_999.0, 1.0]
+    assert np.diff(clock(["23:00:00", "24:00:00", "00:00:01"]).times).tolist() == [3600.0, 1.0]
+    with pytest.raises(InputError, match=r"'02\.03\.2026 24:00', no time like those before it"):
+        clock(["02.03.2026 23:00", "02.03.2026 24:00"])
+
+
 def test_what_a_clock_did_is_said():
     assert "line 3: midnight passed" in said(clock(["23:59:50", "00:00:00"], "Uhrzeit"))
     autumn = clock(["25.10.2026 02:59:50", "25.10.2026 02:00:00"])

@@ -7,9 +7,11 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta, timezone, tzinfo
+from itertools import pairwise
 from typing import NamedTuple
 from zoneinfo import ZoneInfo
 
+from thermojoint.artefacts.date_orders import ORDERS, WEEK
 from thermojoint.artefacts.quantities import UNITS, column_named
 from thermojoint.artefacts.tables.cells import number_in
 
@@ -54,7 +56,7 @@ _OFFSETS = {
 }
 _STAMP = re.compile(
     r"^(?:(?P<a>\d{1,4})(?P<sign>[-./])(?P<b>\d{1,2})(?P=sign)(?P<c>\d{2,4})\.?)?[T,;\s]*"
-    r"(?:(?P<hour>\d{1,2}):(?P<minute>\d{2})(?::(?P<second>\d{2})(?:[.,:](?P<part>\d{1,9}))?)?"
+    r"(?:(?P<hour>\d{1,3}):(?P<minute>\d{2})(?::(?P<second>\d{2})(?:[.,:](?P<part>\d{1,9}))?)?"
     r"(?:\s*(?P<half>[AaPp])\.?[Mm]\.?)?)?"
     r"(?:\s*Uhr)?\s*(?P<zone>(?:UTC|GMT)?[+-]\d{1,2}(?::?\d{2})?|[A-Za-z][A-Za-z_+/-]*)?$"
 )
@@ -86,8 +88,10 @@ class Clock:
     #: A number times `factor` / `divisor` is in s.
     factor: float = 1.0
     divisor: float = 1.0
-    #: Order of a date with dots or slashes: ``dmy`` or ``mdy``; empty if the year comes first.
+    #: Order of a date, a key of `ORDERS`; empty if the year comes first with four digits.
     order: str = ""
+    #: Other orders that fit the dates of the first rows as well.
+    other_orders: tuple[str, ...] = ()
     #: Time zone of cells without one; None if it is unknown: they are taken as UTC.
     zone: tzinfo | None = None
     #: Whether it shows a local time in an unknown zone.
@@ -96,7 +100,7 @@ class Clock:
     @property
     def shown(self) -> str:
         """Description for reports."""
-        order = {"dmy": ", day before month", "mdy": ", month before day"}.get(self.order, "")
+        order = f", {ORDERS[self.order]}" if self.order else ""
         return {
             "stamp": f"date and time{order}{f', {self.zone}' if self.zone else ''}",
             "excel": "days of a spreadsheet",
@@ -185,9 +189,12 @@ def _clock_in(index: int, name: str, cells: Sequence[str], decimal: str) -> Cloc
     zone = zone_named(inside["inside"]) if inside else None
     with_time = any(part["hour"] for part in parts)
     form = ("stamp" if with_time else "date") if parts[0]["a"] else "time of day"
-    order = _order([part for part in parts if part["a"]])
+    order, *others = _orders([part for part in parts if part["a"]])
     local = zone is None and not any(part["zone"] for part in parts)
-    return Clock((index,), form, form != "time of day", order=order, zone=zone, local=local)
+    dated = form != "time of day"
+    return Clock(
+        (index,), form, dated, order=order, other_orders=tuple(others), zone=zone, local=local
+    )
 
 
 def _plain_number(index: int, values: Sequence[float]) -> Clock | None:
@@ -201,19 +208,31 @@ def _plain_number(index: int, values: Sequence[float]) -> Clock | None:
     return None
 
 
-def _order(parts: Sequence[re.Match[str]]) -> str:
-    """Return the order of dates: day first with dots and dashes; with slashes by the numbers."""
+def _orders(parts: Sequence[re.Match[str]]) -> list[str]:
+    """Return the order of dates, and the others that fit them as well.
+
+    Usual are the day first with dots and dashes, the month first with slashes. The order in which
+    the least time passes is taken, as days change before months, and months before years.
+    """
     if not parts or len(parts[0]["a"]) == 4:
-        return ""
-    slashed = [part for part in parts if part["sign"] == "/"]
-    if not slashed or any(part["half"] for part in slashed):
-        return "mdy" if slashed else "dmy"
-    first = {int(part["a"]) for part in slashed}
-    second = {int(part["b"]) for part in slashed}
-    if max(first) > 12:
-        return "dmy"
-    # If both are possible, the order in which less time passes: days change before months.
-    return "dmy" if max(second) <= 12 and len(first) > len(second) else "mdy"
+        return [""]
+    slashed = any(part["sign"] == "/" for part in parts)
+    halves = any(part["half"] for part in parts)
+    usual = ["mdy", "dmy"][: 1 if halves else 2] if slashed else ["dmy"]
+    if all(len(part["a"]) == len(part["c"]) == 2 for part in parts):
+        usual.append("ymd")
+    faults = {order: _faults(parts, order) for order in usual}
+    order = min(usual, key=lambda order: faults[order])
+    return [order, *(one for one in usual if one != order and faults[one][:3] == (0, 0, 0))]
+
+
+def _faults(parts: Sequence[re.Match[str]], order: str) -> tuple[int, int, int, float]:
+    """Return how many dates do not exist, go back, and come after weeks, and the days in all."""
+    dates = [_date(part, order) for part in parts]
+    days = [date.toordinal() for date in dates if date is not None]
+    steps = [after - before for before, after in pairwise(days)]
+    back, far = sum(step < 0 for step in steps), sum(step * _DAY > WEEK for step in steps)
+    return len(dates) - len(days), back, far, max(days, default=0) - min(days, default=0)
 
 
 def zone_named(text: str) -> tzinfo | None:
@@ -290,7 +309,9 @@ def _time_of_day(text: str | re.Match[str]) -> Moment | None:
     hour, minute, second = (int(match[part] or 0) for part in ("hour", "minute", "second"))
     if match["half"]:
         hour = hour % 12 + (12 if match["half"].lower() == "p" else 0)
-    if hour > 23 or minute > 59 or second > 59:
+    # Without a date it may be the time since the start, 30:00:00.
+    of_day = bool(match["a"] or match["half"])
+    if (hour > 23 and of_day) or minute > 59 or second > 59:
         return None
     part = round(int(match["part"]) * 10.0 ** (6 - len(match["part"]))) if match["part"] else 0
     value = (1_000_000 * (_HOUR * hour + 60.0 * minute + second) + part) / 1e6
@@ -299,7 +320,7 @@ def _time_of_day(text: str | re.Match[str]) -> Moment | None:
 
 def _date(match: re.Match[str], order: str) -> datetime | None:
     a, b, c = match["a"], match["b"], match["c"]
-    if len(a) == 4:
+    if len(a) == 4 or order == "ymd":
         year, month, day = a, b, c
     elif match["sign"] == "/" and order == "mdy":
         month, day, year = a, b, c
@@ -309,6 +330,22 @@ def _date(match: re.Match[str], order: str) -> datetime | None:
         return datetime(int(year) + (2000 if len(year) == 2 else 0), int(month), int(day))
     except ValueError:
         return None
+
+
+def in_order(clock: Clock, order: str) -> Clock:
+    """Return a clock with another order of its dates, if they leave it open; else as it is."""
+    if order not in clock.other_orders:
+        return clock
+    others = [clock.order, *(other for other in clock.other_orders if other != order)]
+    return replace(clock, order=order, other_orders=tuple(others))
+
+
+def by_other_orders(clock: Clock, cells: Sequence[str], decimal: str) -> dict[str, float]:
+    """Return the time in the cells of one row, s, by each other order that fits its date."""
+    times = {
+        order: moment(replace(clock, order=order), cells, decimal) for order in clock.other_orders
+    }
+    return {order: at.first for order, at in times.items() if at is not None}
 
 
 def passed(clock: Clock, hands: Hands, at: Moment) -> tuple[Hands, str]:

@@ -11,12 +11,21 @@ from typing import NamedTuple
 import numpy as np
 
 from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.date_orders import WEEK, shorter_order, two_orders
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log
 from thermojoint.artefacts.log_record import Record, with_times
 from thermojoint.artefacts.quantities import Column
 from thermojoint.artefacts.tables.cells import numbers, without_error_values
-from thermojoint.artefacts.tables.clock import FORMS, LATEST, Hands, moment, passed
+from thermojoint.artefacts.tables.clock import (
+    FORMS,
+    LATEST,
+    Hands,
+    by_other_orders,
+    in_order,
+    moment,
+    passed,
+)
 from thermojoint.artefacts.tables.dialect import Row, rows_of
 from thermojoint.artefacts.tables.layout import HEAD, Layout, layout_of
 
@@ -51,7 +60,11 @@ class _Part(NamedTuple):
 
 
 def pieces_in(
-    lines: Iterable[str], where: str, renamed: Mapping[str, str] | None = None, rows: int = ROWS
+    lines: Iterable[str],
+    where: str,
+    renamed: Mapping[str, str] | None = None,
+    rows: int = ROWS,
+    order: str = "",
 ) -> Iterator[Log]:
     """Yield the samples of a table as its lines arrive; each piece belongs to one run.
 
@@ -65,6 +78,8 @@ def pieces_in(
         Name of a column to its new name, which ends in its unit.
     rows : int
         Largest number of samples in a piece; 1 for a stream, whose rows must not wait.
+    order : str, optional
+        Order of its dates (`thermojoint.artefacts.date_orders.ORDERS`) where they leave it open.
 
     Raises
     ------
@@ -75,9 +90,16 @@ def pieces_in(
     """
     source = iter(lines)
     layout, head = _begun(source, where, renamed or {}, HEAD if rows > 1 else 1)
+    layout = replace(layout, clock=in_order(layout.clock, order))
     clock = layout.clock
     record = Record(
-        where, layout.form, layout.columns, layout.ignored, clock.dated, local=clock.local
+        where,
+        layout.form,
+        layout.columns,
+        layout.ignored,
+        clock.dated,
+        local=clock.local,
+        order=clock.order,
     )
     notes, at, twice = layout.notes, _At(), 0
     body = rows_of(chain(head[layout.dialect.first :], source), layout.dialect, where)
@@ -128,6 +150,8 @@ def _parts(layout: Layout, rows: Sequence[Row], at: _At) -> Iterator[tuple[_Part
         hands, note = passed(clock, at.hands, read)
         if note:
             part.notes.append(f"line {row.line}: {note}")
+        if clock.other_orders and at.rows:
+            _check_order(layout, at, row, hands.last)
         if hands.last == at.hands.last:
             _check_twice(layout, at.before, row)
             part = part._replace(twice=part.twice + 1)
@@ -172,6 +196,22 @@ def _check_twice(layout: Layout, row: Row, other: Row) -> None:
             )
 
 
+def _check_order(layout: Layout, at: _At, row: Row, time: float) -> None:
+    """Refuse a row at `time` (s), weeks after the row before it only by the order of its date."""
+    step = time - at.hands.last
+    if 0.0 < step <= WEEK:
+        return
+    clock, decimal = layout.clock, layout.dialect.decimal
+    cells = [[one.cells[k] for k in clock.columns] for one in (at.before, row)]
+    order, other = shorter_order(step, *(by_other_orders(clock, one, decimal) for one in cells))
+    if order:
+        before, after = (repr(" ".join(one).strip()) for one in cells)
+        raise InputError(
+            f"{layout.where}, line {row.line}: from {before} to {after} "
+            f"{two_orders((clock.order, step), (order, other))}"
+        )
+
+
 def _no_time(layout: Layout, row: Row, text: str) -> InputError:
     clock = " + ".join(layout.names[k] for k in layout.clock.columns)
     if not text:
@@ -206,7 +246,20 @@ def _piece(layout: Layout, record: Record, part: _Part) -> Log:
     times = np.array(part.times)
     _check_clock(layout, part.rows, times)
     record = with_times(replace(record, missing=missing), times, part.last)
+    if layout.clock.other_orders:
+        record = replace(record, by_other_orders=_ends_by_other_orders(layout, part.rows))
     return Log(times, layout.columns, values, records=(record,))
+
+
+def _ends_by_other_orders(layout: Layout, rows: Sequence[Row]) -> dict[str, tuple[float, float]]:
+    """Return the times of the first and the last row, s, by each other order of their dates."""
+    first, last = (
+        by_other_orders(
+            layout.clock, [row.cells[k] for k in layout.clock.columns], layout.dialect.decimal
+        )
+        for row in (rows[0], rows[-1])
+    )
+    return {order: (first[order], last[order]) for order in first.keys() & last.keys()}
 
 
 def _check_clock(layout: Layout, rows: Sequence[Row], times: Array) -> None:
