@@ -265,6 +265,22 @@ def test_no_temperature_is_in_the_thousands(cell, speed):
     assert 60.0 / (2.0 * np.pi) * log.at("n_rpm")[0] == pytest.approx(speed)
 
 
+@pytest.mark.parametrize(
+    ("rows", "first"),
+    [
+        ('0,20,"20,125"\n1,20,"0,250"\n', 20.125),
+        ('0,20,"20,125"\n1,"20,5","20,250"\n', 20.125),
+        ('0,"20,125","20,125"\n', 20.125),
+        ("0,20,20.125\n", 20.125),
+        ('0,20.5,"20,125"\n', 20125.0),
+        ('0,20,"20,125"\n1,20,950\n', 20125.0),
+    ],
+)
+def test_another_cell_shows_whether_a_length_has_decimals_or_thousands(rows, first):
+    log = read(f"time_s,T1_degC,x_um\n{rows}")
+    assert 1e6 * log.at("x_um")[0] == pytest.approx(first)
+
+
 @pytest.mark.parametrize(("rest", "rows"), [(1, 1), (300, 1 << 15)])
 def test_a_later_row_shows_the_decimal_sign_of_standard_input_and_of_a_file(rest, rows):
     """The machine rests in the first rows, which have none."""
@@ -389,6 +405,10 @@ def test_a_change_of_summer_time_holds_in_the_files_of_later_days(tmp_path):
             "'13/03/2026 06:00', no time like those before it (date and time, month before day); ",
         ),
         ("0;1\n1;2\n", "log: no header; give a first line"),
+        (
+            'time_s,T1_degC,x_um,n_rpm\n0,20,"20,125","1,500"\n1,20,"20,250","1,500"\n',
+            "log: x_um is '20,125', which may be 20.125 or 20125; write it with a point, or",
+        ),
         (
             "time_s;T1_degC;T2_degC\n0;20;30\ntime_s;T2_degC;T1_degC\n9;30;20\n",
             "line 3: a header with other columns than the first; put it and the rows below it",

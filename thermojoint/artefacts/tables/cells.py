@@ -91,6 +91,11 @@ def number_in(cell: str, decimal: str) -> float | None:
     return float(text) if _NUMBER.fullmatch(text) else None
 
 
+def may_be_grouped(cell: str) -> bool:
+    """Whether the only sign in a cell may separate thousands, as in ``20,125`` and ``20.125``."""
+    return _MAY_BE_GROUPED.fullmatch(cell) is not None
+
+
 def _decimal_of(text: str) -> str:
     """Return the decimal sign of one number: its last separator."""
     return "," if text.rfind(",") > text.rfind(".") else "."
@@ -110,7 +115,7 @@ def decimal_shown(cells: Sequence[str], temperatures: Sequence[str] = ()) -> str
     """
     votes = Counter[str]()
     shown = ((cell, True) for cell in cells), ((cell, False) for cell in temperatures)
-    for cell, may_be_grouped in chain(*shown):
+    for cell, in_thousands in chain(*shown):
         text = cell.strip()
         if "," not in text and "." not in text:
             continue
@@ -118,7 +123,7 @@ def decimal_shown(cells: Sequence[str], temperatures: Sequence[str] = ()) -> str
             continue
         last = _decimal_of(text)
         both = "," in text and "." in text
-        grouped = may_be_grouped and _MAY_BE_GROUPED.fullmatch(text)
+        grouped = in_thousands and may_be_grouped(text)
         if both or (text.count(last) == 1 and not grouped):
             votes[last] += 1
     return votes.most_common(1)[0][0] if votes else ""

@@ -13,7 +13,12 @@ from typing import NamedTuple
 
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.quantities import Column, column_assumed, column_named, unit_named
-from thermojoint.artefacts.tables.cells import decimal_shown, is_missing, number_in
+from thermojoint.artefacts.tables.cells import (
+    decimal_shown,
+    is_missing,
+    may_be_grouped,
+    number_in,
+)
 from thermojoint.artefacts.tables.clock import clock_word
 
 #: Possible separators, in order of preference; at the end two or more blanks, one or more blanks.
@@ -190,7 +195,7 @@ def dialect_of(lines: Sequence[str], where: str, whole: bool) -> Dialect | None:
     Raises
     ------
     InputError
-        There is no header.
+        There is no header, or a length may have decimals or thousands.
     """
     stated = next((_SEP_LINE.match(line) for line in lines[:1]), None)
     candidates = (stated[1],) if stated else SEPARATORS
@@ -224,6 +229,8 @@ def dialect_of(lines: Sequence[str], where: str, whole: bool) -> Dialect | None:
     decimal = decimal_shown(
         values, [cell for row in best.rows for cell in temperatures_in(row, named)]
     )
+    if not decimal and best.separator == ",":
+        _check_decimals(best.rows, named, where)
     lines_used = 1 + bool(best.units)
     return Dialect(
         best.separator,
@@ -234,6 +241,22 @@ def dialect_of(lines: Sequence[str], where: str, whole: bool) -> Dialect | None:
         best.first,
         best.first - lines_used,
     )
+
+
+def _check_decimals(
+    rows: Sequence[Sequence[str]], columns: Sequence[Column | None], where: str
+) -> None:
+    """Refuse lengths like ``"20,125"`` throughout, where no other cell shows the decimal sign."""
+    for k, column in enumerate(columns):
+        if column is None or column.quantity != "length":
+            continue
+        cells = [row[k].strip() for row in rows if k < len(row) and row[k].strip()]
+        if cells and all("," in cell and may_be_grouped(cell) for cell in cells):
+            as_decimals, as_thousands = (cells[0].replace(",", sign) for sign in (".", ""))
+            raise InputError(
+                f"{where}: {column.name} is {cells[0]!r}, which may be {as_decimals} or "
+                f"{as_thousands}; write it with a point, or without a comma"
+            )
 
 
 def temperatures_in(row: Sequence[str], columns: Sequence[Column | None]) -> list[str]:
