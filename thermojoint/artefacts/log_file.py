@@ -8,17 +8,17 @@ that are stored.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from thermojoint.artefacts.arrays import Array, Flags
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log, joined
 from thermojoint.artefacts.log_record import (
-    Record,
     check_dates,
     check_follows,
     check_orders,
@@ -32,6 +32,9 @@ from thermojoint.artefacts.quantities import UNITS, column_named
 from thermojoint.artefacts.settings.toml import parse, read_text
 from thermojoint.artefacts.tables.pieces import ROWS, pieces_in
 from thermojoint.artefacts.tables.source import lines_of
+
+#: Rows by which the beginning of a file is found in another one, and fewest that are enough.
+_ROWS_OF_HEAD, _FEWEST_TELLING = 64, 10
 
 
 def read_mapping(path: Path) -> dict[str, str]:
@@ -75,8 +78,8 @@ def read_log(paths: Sequence[Path], renamed: Mapping[str, str] | None = None) ->
     InputError
         A file is missing or not a table, has no clock, has columns other than the first file, a
         row whose length differs from the header's, a cell that is neither a number nor a missing
-        reading, a clock that goes back, rows that contradict each other, the hours of another file,
-        or values in °C that look like kelvin.
+        reading, a clock that goes back, rows that contradict each other, the hours or rows of
+        another file, dates whose order is open, or values in °C that look like kelvin.
     """
     return joined(log_pieces(paths, renamed))
 
@@ -88,14 +91,81 @@ def log_pieces(paths: Sequence[Path], renamed: Mapping[str, str] | None = None) 
     later ones.
     """
     before: Log | None = None
-    for path, note, order in _in_order(paths, renamed):
-        for k, piece in enumerate(_after(before, _pieces_in_file(path, renamed, ROWS, order))):
+    files = _in_order(paths, renamed)
+    for file in files:
+        others = [other for other in files if other is not file and other.head]
+        pieces = _without_rows_of(others, file, renamed)
+        for k, piece in enumerate(_after(before, pieces)):
             before = piece
-            notes = (note,) if note and not k else ()
+            notes = (file.note,) if file.note and not k else ()
             records = tuple(
                 replace(record, notes=(*record.notes, *notes)) for record in piece.records
             )
             yield replace(piece, records=records)
+
+
+class _File(NamedTuple):
+    """A file of a log, in the order of time."""
+
+    path: Path
+    #: For the user; empty without one.
+    note: str = ""
+    #: Of the dates of all files; empty if the file itself shows it.
+    order: str = ""
+    #: Its first rows if they have no date, to find them in another file.
+    head: Log | None = None
+
+
+def _without_rows_of(
+    others: Sequence[_File], file: _File, renamed: Mapping[str, str] | None
+) -> Iterator[Log]:
+    """Yield the pieces of a file.
+
+    Raises
+    ------
+    InputError
+        It has the first rows of another file, and the same ones at all times of both.
+    """
+
+    def choose(orders: Sequence[str]) -> str:
+        return file.order or order_of_dates(file.path, renamed, orders)
+
+    heads = [other.head for other in others if other.head]
+    left = [len(head.times) for head in heads]
+    for piece in _pieces_in_file(file.path, renamed, ROWS, choose):
+        for k, head in enumerate(heads):
+            rows = _shared(piece, head)[1]
+            left[k] -= rows
+            if rows and not left[k] and _agree(file, others[k], renamed):
+                raise InputError(
+                    f"{others[k].path}: its first {len(head.times)} rows are in {file.path}, too; "
+                    "the same hours would count twice: leave one file out, or drop the rows that "
+                    "are in both"
+                )
+        yield piece
+
+
+def _agree(file: _File, other: _File, renamed: Mapping[str, str] | None) -> bool:
+    """Whether two files have the same readings at all their common times."""
+    whole = joined(_pieces_in_file(other.path, renamed, ROWS))
+    counts = [_shared(piece, whole) for piece in _pieces_in_file(file.path, renamed, ROWS)]
+    return all(times == rows for times, rows in counts)
+
+
+def _shared(piece: Log, log: Log) -> tuple[int, int]:
+    """Return how many times of a log are in a piece, and how many with the same readings."""
+    own = log.with_order(piece.columns)
+    if own.columns != piece.columns:
+        return 0, 0
+    at = np.minimum(np.searchsorted(piece.times, own.times), len(piece.times) - 1)
+    there = piece.times[at] == own.times
+    same = _same_rows(piece.values[at], own.values)
+    return int(np.count_nonzero(there)), int(np.count_nonzero(there & same))
+
+
+def _same_rows(rows: Array, others: Array) -> Flags:
+    same = (rows == others) | (np.isnan(rows) & np.isnan(others))
+    return np.asarray(same.all(axis=1))
 
 
 def _after(before: Log | None, pieces: Iterable[Log]) -> Iterator[Log]:
@@ -143,22 +213,19 @@ def _without_repeated(before: Log, piece: Log) -> Iterator[Log]:
 
 
 def _pieces_in_file(
-    path: Path, renamed: Mapping[str, str] | None, rows: int, order: str = ""
+    path: Path,
+    renamed: Mapping[str, str] | None,
+    rows: int,
+    choose: Callable[[Sequence[str]], str] | None = None,
 ) -> Iterator[Log]:
     with lines_of(Path(path), "log") as lines:
-        yield from pieces_in(lines, str(path), renamed, rows, order)
+        yield from pieces_in(lines, str(path), renamed, rows, choose)
 
 
-def _in_order(
-    paths: Sequence[Path], renamed: Mapping[str, str] | None
-) -> list[tuple[Path, str, str]]:
-    """Return the files sorted by time, each with a note, and the order of its dates.
-
-    Both may be empty: there is nothing to note, and the file itself shows the order.
-    """
+def _in_order(paths: Sequence[Path], renamed: Mapping[str, str] | None) -> list[_File]:
+    """Return the files sorted by time, each content once."""
     if len(paths) < 2:
-        orders = [_orders_of(path, _begun(path, renamed), renamed) for path in paths]
-        return [(path, "", common_order(orders)) for path in paths]
+        return [_File(path) for path in paths]
     seen: dict[str, Path] = {}
     repeated: dict[Path, list[Path]] = {}
     kept: list[Path] = []
@@ -171,51 +238,73 @@ def _in_order(
             repeated.setdefault(known, []).append(path)
     begun = [_begun(path, renamed) for path in kept]
     of_dates = common_order(
-        _orders_of(path, record, renamed) for path, record in zip(kept, begun, strict=True)
+        _readable(path, renamed, head.records[0].orders)
+        for path, head in zip(kept, begun, strict=True)
+        if head
     )
     begins = [
-        record and record.by_other_orders.get(of_dates, (record.first,))[0] for record in begun
+        head.records[0].by_other_orders.get(of_dates, (head.records[0].first,))[0]
+        if head and head.records[0].dated
+        else None
+        for head in begun
     ]
     order = list(range(len(kept)))
     if None not in begins:
         order.sort(key=lambda k: begins[k] or 0.0)
-    notes = []
+    files = []
     for place, k in enumerate(order):
         doubles = repeated.get(kept[k], [])
         note = [f"same content as {path}, which is left out" for path in doubles]
         if place != k:
             note.append(f"given as file {k + 1}, read as file {place + 1}, sorted by time")
-        notes.append((kept[k], "; ".join(note), of_dates))
-    return notes
+        files.append(_File(kept[k], "; ".join(note), of_dates, _telling(begun[k])))
+    return files
 
 
-def _begun(path: Path, renamed: Mapping[str, str] | None) -> Record | None:
-    """Return the record of the first rows of a file; None without rows or a date."""
-    piece = next(_pieces_in_file(path, renamed, 2), None)
-    return piece.records[0] if piece is not None and piece.records[0].dated else None
+def _begun(path: Path, renamed: Mapping[str, str] | None) -> Log | None:
+    """Return the first rows of a file; None without rows."""
+    return next(_pieces_in_file(path, renamed, _ROWS_OF_HEAD), None)
 
 
-def _orders_of(
-    path: Path, record: Record | None, renamed: Mapping[str, str] | None
-) -> tuple[str, ...]:
-    """Return the orders in which the dates of a file can be read to its end, the usual one first.
+def _telling(head: Log | None) -> Log | None:
+    """Return the first rows of a file if no other run begins with the same ones by chance."""
+    if head is None or head.records[0].dated or len(head.times) < _FEWEST_TELLING:
+        return None
+    return None if _same_rows(head.values[1:], head.values[:-1]).all() else head
 
-    Its first rows leave the order open if `record`, theirs, has others.
+
+def order_of_dates(path: Path, renamed: Mapping[str, str] | None, orders: Sequence[str]) -> str:
+    """Return the first of some orders in which the dates of a file can be read to its end.
+
+    Parameters
+    ----------
+    path : Path
+        A table.
+    renamed : mapping, optional
+        As for `read_log`.
+    orders : sequence of str
+        Orders that fit its first rows, the usual one first.
+
+    Returns
+    -------
+    order : str
+        Empty if there is none: reading the file says why.
     """
-    if record is None or not record.order:
-        return ()
-    if not record.by_other_orders:
-        return (record.order,)
-    return tuple(
-        order
-        for order in (record.order, *record.by_other_orders)
-        if _is_readable(path, renamed, order)
-    )
+    return next(iter(_readable(path, renamed, orders)), "")
+
+
+def _readable(
+    path: Path, renamed: Mapping[str, str] | None, orders: Sequence[str]
+) -> Sequence[str]:
+    """Return those of some orders in which the dates of a file can be read to its end."""
+    if len(orders) < 2:
+        return orders
+    return [order for order in orders if _is_readable(path, renamed, order)]
 
 
 def _is_readable(path: Path, renamed: Mapping[str, str] | None, order: str) -> bool:
     try:
-        for _ in _pieces_in_file(path, renamed, ROWS, order):
+        for _ in _pieces_in_file(path, renamed, ROWS, lambda _: order):
             pass
     except InputError:
         return False

@@ -59,6 +59,11 @@ class Record:
     #: Further assumptions and ignored data.
     notes: tuple[str, ...] = ()
 
+    @property
+    def orders(self) -> tuple[str, ...]:
+        """Orders that fit the first dates, that in which they were read first; none without one."""
+        return (self.order, *self.by_other_orders) if self.order else ()
+
 
 def with_times(record: Record, times: Array, last: float) -> Record:
     """Return a record with the times of its rows.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -55,8 +56,8 @@ def opened_log(path: Path, renamed: Mapping[str, str]) -> Iterator[Iterator[Log]
 
     Rows of a stream are yielded one by one as they arrive.
     """
-    from thermojoint.artefacts.log_file import log_pieces
-    from thermojoint.artefacts.tables.pieces import pieces_in
+    from thermojoint.artefacts.log_file import order_of_dates
+    from thermojoint.artefacts.tables.pieces import ROWS, pieces_in
 
     with arguments.opened(path) as source:
         if source is None:
@@ -64,7 +65,8 @@ def opened_log(path: Path, renamed: Mapping[str, str]) -> Iterator[Iterator[Log]
         elif str(path) == "-":
             yield reported_live(pieces_in(source, arguments.shown(path), renamed, 1))
         else:
-            yield reported(log_pieces([path], renamed))
+            order = partial(order_of_dates, path, renamed)
+            yield reported(pieces_in(source, str(path), renamed, ROWS, order))
 
 
 def reported(pieces: Iterable[Log]) -> Iterator[Log]:

@@ -339,6 +339,28 @@ def test_files_of_the_same_hours_are_refused(tmp_path, second):
             read_log(order)
 
 
+def undated(seconds, differing=()):
+    """A file of a run whose clock counts from its start, every second."""
+    rows = (f"{k};{np.sin(k) + (k in differing):.3f};\n" for k in seconds)
+    return f"time_s;x_um;T1_degC\n{''.join(rows)}"
+
+
+@pytest.mark.parametrize("second", [range(300), range(60, 300), range(20, 90), range(80)])
+def test_two_exports_of_one_run_without_dates_are_refused(second, tmp_path):
+    paths = files_of(tmp_path, undated(range(200)), undated(second))
+    for order in (paths, paths[::-1]):
+        with pytest.raises(InputError, match=r"rows are in .*, too; the same hours would count tw"):
+            read_log(order)
+
+
+def test_runs_that_begin_alike_or_stand_still_are_runs(tmp_path):
+    """Simulated ones, or of a machine at rest."""
+    begins_alike = files_of(tmp_path, undated(range(200)), undated(range(200), differing=[150]))
+    assert read_log(begins_alike).starts == (0, 200)
+    still = "time_s;x_um\n" + "".join(f"{k};0;\n" for k in range(100))
+    assert read_log(files_of(tmp_path, still, f"{still}100;1\n")).starts == (0, 100)
+
+
 def test_a_file_may_begin_with_the_last_row_of_the_file_before_it(tmp_path):
     first = "time;x_um\n2026-03-02T06:00;0\n2026-03-02T06:01;1\n"
     log = read_log(files_of(tmp_path, first, "time;x_um\n2026-03-02T06:01;1\n2026-03-02T06:02;2\n"))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain, islice
 from typing import NamedTuple
@@ -64,7 +64,7 @@ def pieces_in(
     where: str,
     renamed: Mapping[str, str] | None = None,
     rows: int = ROWS,
-    order: str = "",
+    choose: Callable[[Sequence[str]], str] | None = None,
 ) -> Iterator[Log]:
     """Yield the samples of a table as its lines arrive; each piece belongs to one run.
 
@@ -78,8 +78,9 @@ def pieces_in(
         Name of a column to its new name, which ends in its unit.
     rows : int
         Largest number of samples in a piece; 1 for a stream, whose rows must not wait.
-    order : str, optional
-        Order of its dates (`thermojoint.artefacts.date_orders.ORDERS`) where they leave it open.
+    choose : callable, optional
+        Returns one of the orders of dates (`thermojoint.artefacts.date_orders.ORDERS`) that fit the
+        first rows, if there are several; default the first of them.
 
     Raises
     ------
@@ -90,8 +91,10 @@ def pieces_in(
     """
     source = iter(lines)
     layout, head = _begun(source, where, renamed or {}, HEAD if rows > 1 else 1)
-    layout = replace(layout, clock=in_order(layout.clock, order))
     clock = layout.clock
+    if choose is not None and clock.other_orders:
+        clock = in_order(clock, choose((clock.order, *clock.other_orders)))
+        layout = replace(layout, clock=clock)
     record = Record(
         where,
         layout.form,
