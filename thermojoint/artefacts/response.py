@@ -11,7 +11,7 @@ command's start.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -217,6 +217,22 @@ def _check_variables(variables: Mapping[str, Variable], where: str) -> None:
         raise InputError(f"{where}: time must increase strictly and have two samples or more")
 
 
+def _check_shapes(variables: Mapping[str, Variable], coords: Iterable[str], where: str) -> None:
+    """Check that every array has the dimensions and the lengths of the coordinates."""
+    lengths = {name: variables[name].values.size for name in coords}
+    for name, (dims, values, _) in variables.items():
+        expected = tuple(lengths.get(dim) for dim in dims)
+        shape = np.shape(values)
+        fits = len(shape) == len(dims) and all(
+            length in (None, size) for length, size in zip(expected, shape, strict=True)
+        )
+        if not fits:
+            named = ", ".join(f"{dim} {lengths.get(dim, 'any')}" for dim in dims)
+            raise InputError(
+                f"{where}: {name!r} has the shape {shape}, expected {named}; give a value for each"
+            )
+
+
 def _plain(value: object) -> object:
     """Return an attribute of a file as a Python number, text or list."""
     array = np.asarray(value)
@@ -252,6 +268,12 @@ def make_response(
         At least ``time`` (s), ``probe`` (names) and ``axis`` (names).
     attrs : dict, optional
         Further metadata, e.g. ``reference_power_W`` and ``case``.
+
+    Raises
+    ------
+    InputError
+        A required array or coordinate is missing or unknown, its shape does not fit the
+        coordinates, a value is not finite, or time does not increase.
     """
     return array_response(values, coords, attrs).dataset()
 
@@ -273,6 +295,7 @@ def array_response(
         meta = {"units": "s", "long_name": "time"} if name == "time" else {}
         variables[name] = Variable((name,), np.asarray(labels), meta)
     _check_variables(variables, "make_response")
+    _check_shapes(variables, coords, "make_response")
     return ArrayResponse(
         variables, {"schema": SCHEMA, "schema_version": SCHEMA_VERSION} | dict(attrs or {})
     )

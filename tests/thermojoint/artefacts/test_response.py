@@ -5,7 +5,12 @@ import pytest
 import xarray as xr
 
 from thermojoint.artefacts.errors import InputError
-from thermojoint.artefacts.response import array_response, read_response, write_response
+from thermojoint.artefacts.response import (
+    array_response,
+    make_response,
+    read_response,
+    write_response,
+)
 
 TIMES = np.array([0.0, 2.0, 4.0])
 
@@ -24,6 +29,24 @@ def arrays():
 
 def good():
     return arrays().dataset()
+
+
+@pytest.mark.parametrize(
+    ("displacement", "told"),
+    [
+        (np.zeros((2, 1)), r"'displacement' has the shape \(2, 1\), expected time 3, axis 1"),
+        (np.zeros(3), r"'displacement' has the shape \(3,\), expected time 3, axis 1"),
+        (np.zeros((3, 2)), r"'displacement' has the shape \(3, 2\), expected time 3, axis 1"),
+    ],
+)
+def test_arrays_that_do_not_fit_each_other_are_no_response(displacement, told):
+    values = {
+        "heat_input": np.ones(3),
+        "temperature": np.zeros((3, 1)),
+        "displacement": displacement,
+    }
+    with pytest.raises(InputError, match=told):
+        make_response(values, {"time": TIMES, "probe": ["a"], "axis": ["x"]})
 
 
 def test_a_response_survives_its_file_as_arrays_and_as_a_dataset(tmp_path):
