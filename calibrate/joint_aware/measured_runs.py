@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Container, Sequence
+from dataclasses import replace
 
 import numpy as np
 import xarray as xr
 
 from calibrate.joint_aware.readings import check_cold
+from calibrate.learning.rules import Thinning
+from calibrate.learning.thinning import without_spikes
 from estimator.measured import temperatures_among
 from fesim.axes.axis import gone_along
 from fesim.case.schema import Case
@@ -26,7 +30,8 @@ def runs_of(log: Log, case: Case, displacement: Sequence[str]) -> dict[str, xr.D
     """Return every run of a log as a response.
 
     A run starts at rest: its first readings are those of the cold machine, its first displacement
-    is zero. Samples with a missing reading are left out.
+    is zero. Samples with a missing reading are left out, and with a warning those with a spike of a
+    temperature or a displacement (`calibrate.learning.thinning.without_spikes`).
 
     Parameters
     ----------
@@ -46,6 +51,8 @@ def runs_of(log: Log, case: Case, displacement: Sequence[str]) -> dict[str, xr.D
         A column is missing, a temperature has two, a run starts warm, or too many readings are
         missing.
     """
+    # Along an axis a displacement changes within a sample.
+    log = _without_spikes(log, () if case.axes else displacement)
     moved = {_axis(log, name): log.at(name) for name in displacement}
     sensed = _temperatures(log, case.probes)
     held = [name for name, one in case.held_temperatures.items() if one.file is not None]
@@ -114,6 +121,19 @@ def runs_of(log: Log, case: Case, displacement: Sequence[str]) -> dict[str, xr.D
                 gone[:, list(places).index(name)] = read[kept]
             runs[where]["axis_way"] = (("time", "moving_axis"), gone, {"units": "m"})
     return runs
+
+
+def _without_spikes(log: Log, still: Sequence[str]) -> Log:
+    """Return a log with NaN for spikes of temperatures, and of the displacements `still`."""
+    names = {log.columns[log.index(name)].name for name in still}
+    cleaned = [
+        without_spikes(run.times, run.values, run.columns, names, Thinning()) for run in log.runs()
+    ]
+    counts = np.sum([found for _, found in cleaned], axis=0)
+    for name, count in zip(log.names, counts, strict=True):
+        if count:
+            warnings.warn(f"log: {name}: samples with a spike, left out: {count:.0f}", stacklevel=3)
+    return replace(log, values=np.concatenate([values for values, _ in cleaned]))
 
 
 def _response(

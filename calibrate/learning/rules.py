@@ -30,7 +30,8 @@ class Thinning:
     neighbours: int = 4
     least_spike: float = 0.5
     least_spike_length: float = 5e-6
-    #: A displacement has no spike where a drive changes by this part of its largest value.
+    #: Where a drive changes by this part of its largest value, a displacement has no spike but one
+    #: that is further outside the range of the others than this is wide.
     changed: float = 0.1
     #: A speed is a spike if it is above this multiple of every speed that was held, the median of
     #: `held` values, in at most the share `seldom` of the samples.

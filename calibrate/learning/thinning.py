@@ -169,7 +169,8 @@ def without_spikes(
     columns : sequence of Column
         Temperatures and speeds have spikes.
     still : collection of str
-        Displacements that have spikes, too.
+        Displacements that have spikes, too; where a drive changes, only those far outside the range
+        of the others.
     rules : Thinning
         What a spike is.
     """
@@ -183,11 +184,13 @@ def without_spikes(
             there = np.isfinite(values[:, k])
             least = rules.least_spike_length
             spikes[there, k] = _beyond_neighbours(times[there], values[there, k], least, rules)
+    kept = np.where(spikes, np.nan, values)
     driving = [k for k, column in enumerate(columns) if column.quantity in DRIVES]
-    if driving:
-        # The heat and the forces of a change may move the machine at once.
-        changing = _changing(np.where(spikes, np.nan, values)[:, driving], rules)
-        spikes[:, [column.name in still for column in columns]] &= ~changing[:, None]
+    # The heat and the forces of a change may move the machine at once.
+    changing = _changing(kept[:, driving], rules)
+    for k, column in enumerate(columns):
+        if column.name in still:
+            spikes[:, k] &= ~changing | _far_outside(values[:, k], kept[:, k])
     return np.where(spikes, np.nan, values), spikes.sum(axis=0).astype(float)
 
 
@@ -211,6 +214,15 @@ def _sides(column: pd.Series, rules: Thinning) -> tuple[pd.Series, pd.Series]:
     before = column.rolling(rules.neighbours, min_periods=2).median().shift(1)
     after = column[::-1].rolling(rules.neighbours, min_periods=2).median().shift(1)[::-1]
     return before, after
+
+
+def _far_outside(values: Array, kept: Array) -> Flags:
+    """Return which values are further outside the range of those kept than this is wide."""
+    there = kept[np.isfinite(kept)]
+    if not there.size:
+        return np.zeros(values.shape, dtype=bool)
+    low, high = float(there.min()), float(there.max())
+    return np.asarray(np.abs(values - 0.5 * (low + high)) > 1.5 * (high - low))
 
 
 def _never_held(speeds: Array, rules: Thinning) -> Flags:

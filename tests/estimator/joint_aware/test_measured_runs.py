@@ -64,6 +64,22 @@ def test_a_run_of_a_log_is_the_response_that_was_measured(case, response, tmp_pa
     assert one["displacement"].sel(axis=["x", "y"]).to_numpy() == pytest.approx(moved, abs=1e-11)
 
 
+def test_misread_samples_are_left_out_with_a_warning(case, response, tmp_path):
+    """One at the start would be the zero of its displacement in the whole run."""
+    path = log_of(response, tmp_path / "log.csv")
+    header, *rows = path.read_text("utf-8").splitlines()
+    for k in (0, 20):
+        rows[k] = ",".join([*rows[k].split(",")[:-1], "-999"])
+    path.write_text("\n".join([header, *rows]), encoding="utf-8")
+    with pytest.warns(UserWarning, match="y_um: samples with a spike, left out: 2"):
+        found = runs_of(read_log([path]), case_from_data(case, "case", Path()), ["x_um", "y_um"])
+    moved = response["displacement"].sel(axis=["x", "y"]).to_numpy()
+    wanted = np.delete(moved, [0, 20], axis=0) - moved[1]
+    assert found["run 1"]["displacement"].sel(axis=["x", "y"]).to_numpy() == pytest.approx(
+        wanted, abs=1e-11
+    )
+
+
 def test_a_thermometer_that_is_elsewhere_in_the_case_is_said(case, response):
     name = SENSORS[0]
     moved = copy.deepcopy(case)
