@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Container, Sequence
-from dataclasses import replace
 
 import numpy as np
 import xarray as xr
 
 from calibrate.joint_aware.readings import check_cold
-from calibrate.learning.rules import Thinning
-from calibrate.learning.thinning import without_spikes
+from calibrate.learning.thinning import spikes_of
 from estimator.measured import temperatures_among
 from fesim.axes.axis import gone_along
 from fesim.case.schema import Case
@@ -125,15 +123,10 @@ def runs_of(log: Log, case: Case, displacement: Sequence[str]) -> dict[str, xr.D
 
 def _without_spikes(log: Log, still: Sequence[str]) -> Log:
     """Return a log with NaN for spikes of temperatures, and of the displacements `still`."""
-    names = {log.columns[log.index(name)].name for name in still}
-    cleaned = [
-        without_spikes(run.times, run.values, run.columns, names, Thinning()) for run in log.runs()
-    ]
-    counts = np.sum([found for _, found in cleaned], axis=0)
-    for name, count in zip(log.names, counts, strict=True):
-        if count:
-            warnings.warn(f"log: {name}: samples with a spike, left out: {count:.0f}", stacklevel=3)
-    return replace(log, values=np.concatenate([values for values, _ in cleaned]))
+    cleaned, counts = spikes_of(log, {log.columns[log.index(name)].name for name in still})
+    for name, count in counts.items():
+        warnings.warn(f"log: {name}: samples with a spike, left out: {count}", stacklevel=3)
+    return cleaned
 
 
 def _response(

@@ -194,6 +194,32 @@ def without_spikes(
     return np.where(spikes, np.nan, values), spikes.sum(axis=0).astype(float)
 
 
+def spikes_of(log: Log, still: Collection[str]) -> tuple[Log, dict[str, int]]:
+    """Return a log with NaN for spikes (`without_spikes`), and the columns that have some.
+
+    Parameters
+    ----------
+    log : Log
+        Of one or more runs.
+    still : collection of str
+        Names of displacements read at one place.
+
+    Returns
+    -------
+    log : Log
+    counts : dict
+        Name of a column to the number of its spikes, one or more.
+    """
+    runs = [
+        without_spikes(run.times, run.values, run.columns, still, Thinning()) for run in log.runs()
+    ]
+    counts = np.sum([found for _, found in runs], axis=0).astype(int).tolist()
+    return (
+        replace(log, values=np.concatenate([values for values, _ in runs])),
+        {name: count for name, count in zip(log.names, counts, strict=True) if count},
+    )
+
+
 def _beyond_neighbours(times: Array, values: Array, least: float, rules: Thinning) -> Flags:
     """Return which values are above, or below, both those before and after them."""
     import pandas as pd

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib.resources import as_file, files
 from pathlib import Path
@@ -460,6 +460,8 @@ def validate(  # noqa: PLR0913 - the options of a command
                 name: joined(reported(log_pieces([path], renamed))) for name, path in named.items()
             }
             figures = kind.judge_logs(given, logs)
+            if not getattr(given, "positions", ()):
+                console.warn(_misread(logs, {str(row["axis"]) for row in figures["rows"]}))
             if picture:
                 _draw_judged(started(kind, given, Options()), logs, picture)
     else:
@@ -483,6 +485,18 @@ def validate(  # noqa: PLR0913 - the options of a command
         printing.show_schemes(printer, schemes)
         printing.show_blocks(printer, figures["blocks"])
     console.wrote(out, picture)
+
+
+def _misread(logs: Mapping[str, Log], judged: Collection[str]) -> list[str]:
+    """Return a warning about each displacement, read at one place, that has spikes in a log."""
+    from calibrate.learning.thinning import spikes_of
+
+    return [
+        f"{name}: {column}: {count} spikes, as of misread displacements; the errors contain them"
+        for name, log in logs.items()
+        for column, count in spikes_of(log, judged)[1].items()
+        if column in judged
+    ]
 
 
 def _draw_judged(estimator: OpenedEstimator, logs: Mapping[str, Log], path: Path) -> None:

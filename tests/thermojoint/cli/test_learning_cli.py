@@ -126,6 +126,20 @@ def test_validate_takes_a_log(here, command):
     assert command("validate", "model.json", "day.csv", "--json", "mine.json")[0] == 2
 
 
+def test_validate_says_that_its_errors_contain_misread_displacements(here, command):
+    day = rows(here / "day.csv")
+    for k in (100, 200):
+        day[k]["x_um"] = "-999"
+    with (here / "misread.csv").open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, day[0])
+        writer.writeheader()
+        writer.writerows(day)
+    code, told = command("validate", "model.json", "misread.csv")
+    assert not code
+    assert "misread: x_um: 2 spikes, as of misread displacements; the errors contain" in told
+    assert "spikes" not in command("validate", "model.json", "day.csv")[1]
+
+
 def test_columns_of_fixed_positions_are_drawn_as_they_are_judged(here, command):
     day = rows(here / "day.csv")
     for one in day:
