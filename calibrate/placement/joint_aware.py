@@ -23,6 +23,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
@@ -104,11 +105,8 @@ def place_sensors(
     problem = _problem(machine, family)
     done, tell = 0, report or (lambda *_: None)
     chosen = [names.index(name) for name in kept]
-    # With fewer sensors than sources no filter exists: start with one close to each.
-    first = len(machine.source_names)
-    if len(chosen) < first and first > 1:
-        others = [sensor for sensor in loudest(machine, family.step) if sensor not in chosen]
-        chosen += others[: first - len(chosen)]
+    if len(machine.source_names) > 1:
+        chosen = _one_for_each_source(problem, loudest(machine, family.step), chosen)
     steps: list[Choice] = []
     if chosen:
         steps.append(_choice(problem, names, chosen))
@@ -312,6 +310,23 @@ def _best(problem: _Problem, chosen: Sequence[int]) -> int:
     """The candidate that reduces the criterion most in addition to the chosen ones."""
     others = [sensor for sensor in range(len(problem.variance) - 1) if sensor not in chosen]
     return min(others, key=lambda sensor: _criterion(problem, [*chosen, sensor]))
+
+
+def _one_for_each_source(
+    problem: _Problem, close: Sequence[int], chosen: Sequence[int]
+) -> list[int]:
+    """Chosen sensors, and others up to the number of sources, without which no filter exists.
+
+    Of those `close` to the sources, one for each, the ones that are best beside the chosen; others
+    where several sources share theirs.
+    """
+    further = list(dict.fromkeys(sensor for sensor in close if sensor not in chosen))
+    lacking = max(0, len(close) - len(chosen))
+    sets = ([*chosen, *more] for more in combinations(further, min(lacking, len(further))))
+    begun = min(sets, key=lambda sensors: _criterion(problem, sensors))
+    while len(begun) < len(close):
+        begun.append(_best(problem, begun))
+    return begun
 
 
 def _exchanged(problem: _Problem, chosen: Sequence[int], kept: int) -> list[int]:

@@ -109,6 +109,40 @@ def test_exchanges_never_make_a_choice_worse_and_leave_what_is_kept(machine, fam
     assert np.square(found.chosen.band).sum() <= np.square(found.steps[-1].band).sum()
 
 
+@pytest.fixture(scope="module")
+def motored(data):
+    """The machine with a motor at its rear, and its family."""
+    sources = data["sources"] | {"motor": {"surface": "rear", "reference_power_W": 100.0}}
+    case = case_from_data(data | {"sources": sources}, "case", Path())
+    setup = set_up(case)
+    names = list(candidate_probes(case, setup.structure))
+    machine = plant_family.fewer_modes(reduce_machine(case, setup, names))
+    return machine, plant_family.make_family(machine, plant_family.Drawing(plants=2))
+
+
+def test_the_first_sensors_beside_one_that_is_kept_are_at_the_other_sources(motored):
+    """The first source got one beside the kept one, and the other none: in this order only."""
+    machine, family = motored
+    names, step = machine.sensor_names, family.step
+    closest = [names[at] for at in plant_family.loudest(machine, step)]
+    others = [name for name in names if name not in closest]
+    kept = next(
+        name
+        for name in others
+        if [*plant_family.unseen_sources(machine, [name], step)] == ["motor"]
+    )
+    begun = placement.place_sensors(machine, 2, [kept], family).steps[0]
+    assert begun.names == (kept, closest[1])
+
+
+def test_sources_with_the_same_candidate_do_not_get_it_twice(motored, monkeypatch):
+    machine, family = motored
+    monkeypatch.setattr(placement, "loudest", lambda *_: [0, 0])
+    begun = placement.place_sensors(machine, 2, (), family).steps[0]
+    assert begun.names[0] == machine.sensor_names[0]
+    assert len(set(begun.names)) == 2
+
+
 def test_a_plant_like_the_model_leaves_what_the_heat_walks_between_two_readings(machine, family):
     """Without any difference of the plants the sensor that hears of the heat first is the best."""
     alike = replace(
