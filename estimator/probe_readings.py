@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain
 from pathlib import Path
@@ -81,6 +82,8 @@ def with_probe_readings(
 ) -> Iterator[tuple[float, ...]]:
     """Yield every sample with the readings since the previous one, NaN for none.
 
+    At the end, a warning if a run that is not continued had none.
+
     Parameters
     ----------
     samples : iterable of sequences
@@ -112,6 +115,7 @@ def with_probe_readings(
         at = int(np.searchsorted(times, first[0], "left"))
     else:
         at = int(np.searchsorted(times, after, "right"))
+    begun, time = at, first[0]
     for time, *rest in chain([first], remaining):
         end = int(np.searchsorted(times, time, "right"))
         latest = np.full(values.shape[1], np.nan)
@@ -119,6 +123,13 @@ def with_probe_readings(
             latest = _with_row(latest, row, values.shape[1] - places)
         at = max(at, end)
         yield (time, *rest, *map(float, latest))
+    if math.isnan(after) and len(times) and at == begun:
+        warnings.warn(
+            f"readings: none, from {times[0]:.15g} s to {times[-1]:.15g} s, is between the first "
+            f"sample, at {first[0]:.15g} s, and the last, at {time:.15g} s, and none corrects the "
+            "estimate; give both the same clock",
+            stacklevel=2,
+        )
 
 
 def _with_row(latest: Array, row: Array, axes: int) -> Array:

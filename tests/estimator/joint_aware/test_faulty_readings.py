@@ -174,6 +174,15 @@ def test_readings_whose_clock_alone_has_no_date_are_refused():
         next(with_probe_readings([(1.7e9, 1.0)], *read))
 
 
+@pytest.mark.parametrize("times", [[-60.0, -2.0], [8.0]])
+def test_readings_of_another_time_than_the_samples_are_said(times):
+    """They changed nothing, without a word: of a touch probe with a clock of its own."""
+    samples = [(0.0, 1.0), (6.0, 1.0)]
+    with pytest.warns(UserWarning, match="readings: none.*0 s, and the last, at 6 s.*same clock"):
+        found = list(with_probe_readings(samples, np.array(times), np.ones((len(times), 1))))
+    assert np.isnan([read for *_, read in found]).all()
+
+
 def test_readings_name_their_axes(tmp_path):
     path = tmp_path / "probe.csv"
     path.write_text("time_s,y_um\n60,12.5\n120,13\n")
