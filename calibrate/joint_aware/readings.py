@@ -11,11 +11,13 @@ import xarray as xr
 from calibrate.joint_aware.misfit import Run, physics_with
 from estimator.joint_aware.odometers import plausible
 from estimator.joint_aware.readings import ambient_in, recorded, temperatures_in
+from estimator.joint_aware.sample_values import OVERTRAVEL
 from estimator.joint_aware.thresholds import USUAL
 from fesim.axes.axis import gone_along
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.response import columns_of
+from thermojoint.artefacts.units import MILLI
 from thermojoint.reduced.machine import ReducedMachine
 from thermojoint.reduced.physics import at_start, starting_under
 
@@ -57,8 +59,8 @@ def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
     Raises
     ------
     InputError
-        Time starts before 0, the run starts warm or is too short, the axis has a drive that is not
-        in the model, or a probe, an axis or a load is missing.
+        Time starts before 0, the run starts warm or is too short, an axis leaves its stroke or has
+        a drive that is not in the model, or a probe, an axis or a load is missing.
     """
     guide = machine.guide
     if (guide is None or not guide.drives.any) and "positioning_error" in response:
@@ -86,6 +88,7 @@ def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
     held = held_in(response, machine)[at]
     loads = recorded(response, "load_factor", machine.load_names)
     positions = recorded(response, "axis_position", machine.axis_names)
+    _check_strokes(times, positions, machine, where)
     _warn_of_turns(positions, machine, where)
     factors = [np.interp(grid, times, column) for column in (*loads.T, *positions.T)]
     displacement = columns_of(response, "displacement", machine.axes)
@@ -104,6 +107,24 @@ def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
         gone=np.diff(np.column_stack(ends), axis=0, prepend=0.0) if ends else None,
         loads=loads[0],
     )
+
+
+def _check_strokes(times: Array, positions: Array, machine: ReducedMachine, where: str) -> None:
+    """Refuse positions (n, x), m, at times (n,), s, outside the stroke of their axis.
+
+    The machine would stand at the end of the stroke instead.
+    """
+    strokes = () if machine.guide is None else machine.guide.way.stations.positions
+    for name, stroke, position in zip(machine.axis_names, strokes, positions.T, strict=True):
+        low, high = float(stroke[0]), float(stroke[-1])
+        outside = np.flatnonzero((position < low - OVERTRAVEL) | (position > high + OVERTRAVEL))
+        if outside.size:
+            at = outside[0]
+            raise InputError(
+                f"{where}: axis '{name}' is at {position[at] / MILLI:g} mm at {times[at]:g} s, "
+                f"outside its stroke in the case, {low / MILLI:g} to {high / MILLI:g} mm; correct "
+                "the position, its unit or its zero"
+            )
 
 
 def _warn_of_turns(positions: Array, machine: ReducedMachine, where: str) -> None:

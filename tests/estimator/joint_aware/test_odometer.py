@@ -285,6 +285,16 @@ def test_a_calibration_says_that_an_axis_turns_between_samples(moved):
         run_in(response, without, "run")
 
 
+def test_a_run_whose_axis_leaves_its_stroke_is_refused(moved):
+    """As with positions from another zero: the fit put the axis at the end of its stroke."""
+    machine, response = moved
+    shifted = response["axis_position"] + 0.2005
+    run_in(response.assign(axis_position=shifted), machine, "run")
+    shifted[7:] += 0.15
+    with pytest.raises(InputError, match=r"run: axis 'y' is at 350.5 mm at 70 s.* -100 to 200 mm"):
+        run_in(response.assign(axis_position=shifted), machine, "run")
+
+
 def test_an_axis_that_goes_straight_needs_none(tmp_path):
     machine, response = responding(tmp_path, [(0, 0), (60, 0), (90, 200), (300, -100)], True)
     made = observer(machine, {"run": response})
