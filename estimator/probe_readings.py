@@ -15,7 +15,7 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log
 from thermojoint.artefacts.log_file import read_log
-from thermojoint.artefacts.log_record import check_orders, check_zones
+from thermojoint.artefacts.log_sequence import check_orders, check_zones
 from thermojoint.artefacts.quantities import column_named
 from thermojoint.artefacts.tables.clock import tells_date
 

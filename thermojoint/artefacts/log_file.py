@@ -8,33 +8,18 @@ that are stored.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-
-from thermojoint.artefacts.arrays import Array, Flags
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log, joined
-from thermojoint.artefacts.log_record import (
-    check_dates,
-    check_follows,
-    check_orders,
-    check_zones,
-    common_order,
-    moment_text,
-    moved,
-    with_times,
-)
+from thermojoint.artefacts.log_sequence import HEAD, common_order, following, shared, telling
 from thermojoint.artefacts.quantities import UNITS, column_named
 from thermojoint.artefacts.settings.toml import parse, read_text
 from thermojoint.artefacts.tables.pieces import ROWS, pieces_in
 from thermojoint.artefacts.tables.source import lines_of
-
-#: Rows by which the beginning of a file is found in another one, and fewest that are enough.
-_ROWS_OF_HEAD, _FEWEST_TELLING = 64, 10
 
 
 def read_mapping(path: Path) -> dict[str, str]:
@@ -95,7 +80,7 @@ def log_pieces(paths: Sequence[Path], renamed: Mapping[str, str] | None = None) 
     for file in files:
         others = [other for other in files if other is not file and other.head]
         pieces = _without_rows_of(others, file, renamed)
-        for k, piece in enumerate(_after(before, pieces)):
+        for k, piece in enumerate(following(before, pieces)):
             before = piece
             notes = (file.note,) if file.note and not k else ()
             records = tuple(
@@ -134,7 +119,7 @@ def _without_rows_of(
     left = [len(head.times) for head in heads]
     for piece in _pieces_in_file(file.path, renamed, ROWS, choose):
         for k, head in enumerate(heads):
-            rows = _shared(piece, head)[1]
+            rows = shared(piece, head)[1]
             left[k] -= rows
             if rows and not left[k] and _agree(file, others[k], renamed):
                 raise InputError(
@@ -148,68 +133,8 @@ def _without_rows_of(
 def _agree(file: _File, other: _File, renamed: Mapping[str, str] | None) -> bool:
     """Whether two files have the same readings at all their common times."""
     whole = joined(_pieces_in_file(other.path, renamed, ROWS))
-    counts = [_shared(piece, whole) for piece in _pieces_in_file(file.path, renamed, ROWS)]
+    counts = [shared(piece, whole) for piece in _pieces_in_file(file.path, renamed, ROWS)]
     return all(times == rows for times, rows in counts)
-
-
-def _shared(piece: Log, log: Log) -> tuple[int, int]:
-    """Return how many times of a log are in a piece, and how many with the same readings."""
-    own = log.with_order(piece.columns)
-    if own.columns != piece.columns:
-        return 0, 0
-    at = np.minimum(np.searchsorted(piece.times, own.times), len(piece.times) - 1)
-    there = piece.times[at] == own.times
-    same = _same_rows(piece.values[at], own.values)
-    return int(np.count_nonzero(there)), int(np.count_nonzero(there & same))
-
-
-def _same_rows(rows: Array, others: Array) -> Flags:
-    same = (rows == others) | (np.isnan(rows) & np.isnan(others))
-    return np.asarray(same.all(axis=1))
-
-
-def _after(before: Log | None, pieces: Iterable[Log]) -> Iterator[Log]:
-    """Yield the pieces of a file after the last piece of the file before it, if there is one."""
-    for k, given in enumerate(pieces):
-        piece = given.with_order(before.columns) if before else given
-        (record,) = piece.records
-        if before:
-            check_dates(record, before.records[0])
-            check_zones(record, before.records[0])
-            check_orders(record, before.records[0])
-            if not k:
-                check_follows(record, before.records[0])
-        if before is None or not record.dated:
-            yield piece
-            continue
-        shift = before.records[0].shift
-        later = replace(piece, times=piece.times + shift, records=(moved(record, shift),))
-        if k or later.times[0] > before.times[-1]:
-            yield later
-        else:
-            yield from _without_repeated(before, later)
-
-
-def _without_repeated(before: Log, piece: Log) -> Iterator[Log]:
-    """Yield the first piece of a file without its first row, which ended the file before it.
-
-    Raises
-    ------
-    InputError
-        It begins with another row, so that the hours of both files would count twice.
-    """
-    (record,), (other,) = piece.records, before.records
-    same = np.array_equal(piece.values[0], before.values[-1], equal_nan=True)
-    if piece.times[0] != before.times[-1] or not same:
-        begin, end = (moment_text(record, time) for time in (record.first, other.last))
-        raise InputError(
-            f"{record.where}: begins at {begin}, before {other.where} ends at {end}; the same "
-            "hours would count twice: leave one file out, or drop the rows that are in both"
-        )
-    if len(piece.times) > 1:
-        times = piece.times[1:]
-        record = with_times(replace(record, twice=record.twice + 1), times, -np.inf)
-        yield replace(piece.part(slice(1, None)), records=(record,))
 
 
 def _pieces_in_file(
@@ -257,20 +182,13 @@ def _in_order(paths: Sequence[Path], renamed: Mapping[str, str] | None) -> list[
         note = [f"same content as {path}, which is left out" for path in doubles]
         if place != k:
             note.append(f"given as file {k + 1}, read as file {place + 1}, sorted by time")
-        files.append(_File(kept[k], "; ".join(note), of_dates, _telling(begun[k])))
+        files.append(_File(kept[k], "; ".join(note), of_dates, telling(begun[k])))
     return files
 
 
 def _begun(path: Path, renamed: Mapping[str, str] | None) -> Log | None:
     """Return the first rows of a file; None without rows."""
-    return next(_pieces_in_file(path, renamed, _ROWS_OF_HEAD), None)
-
-
-def _telling(head: Log | None) -> Log | None:
-    """Return the first rows of a file if no other run begins with the same ones by chance."""
-    if head is None or head.records[0].dated or len(head.times) < _FEWEST_TELLING:
-        return None
-    return None if _same_rows(head.values[1:], head.values[:-1]).all() else head
+    return next(_pieces_in_file(path, renamed, HEAD), None)
 
 
 def order_of_dates(path: Path, renamed: Mapping[str, str] | None, orders: Sequence[str]) -> str:

@@ -10,8 +10,6 @@ from datetime import UTC, datetime
 import numpy as np
 
 from thermojoint.artefacts.arrays import Array
-from thermojoint.artefacts.date_orders import ORDERS, shorter_order, two_orders
-from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.quantities import Column
 
 #: A pause is longer than this number of intervals, and than this time, s.
@@ -107,81 +105,6 @@ def moved(record: Record, seconds: float) -> Record:
         last=record.last + seconds,
         pauses=tuple((begin + seconds, end + seconds) for begin, end in record.pauses),
     )
-
-
-def check_zones(record: Record, other: Record) -> None:
-    """Refuse two clocks with dates of which only one has a time zone: hours may lie between them.
-
-    Raises
-    ------
-    InputError
-        One of them shows a local time, the other does not.
-    """
-    if record.dated and other.dated and record.local != other.local:
-        one, another = (record, other) if record.local else (other, record)
-        raise InputError(
-            f"{one.where}: its clock has no time zone, that of {another.where} has; put it in "
-            "brackets behind the clock's name, like time [Europe/Berlin] or time [UTC]"
-        )
-
-
-def check_dates(record: Record, other: Record) -> None:
-    """Refuse two files of one log of which only one has dates: nothing tells what lies between.
-
-    Raises
-    ------
-    InputError
-        The clock of one of them counts from its own start.
-    """
-    if record.dated != other.dated:
-        one, another = (other, record) if record.dated else (record, other)
-        raise InputError(
-            f"{one.where}: its clock has no date, that of {another.where} has; give every file of "
-            "a log the same clock"
-        )
-
-
-def common_order(orders: Iterable[Sequence[str]]) -> str:
-    """Return the first order of a file's dates that fits those of all files; empty without one."""
-    several = [own for own in orders if own]
-    return next((own[0] for own in several if all(own[0] in other for other in several)), "")
-
-
-def check_orders(record: Record, other: Record) -> None:
-    """Refuse two clocks whose dates are read in two orders.
-
-    Raises
-    ------
-    InputError
-        Each fits its own dates.
-    """
-    if record.order and other.order and record.order != other.order:
-        raise InputError(
-            f"{record.where}: its dates are read {ORDERS[record.order]}, those of {other.where} "
-            f"{ORDERS[other.order]}; write them year first with four digits, like 2026-03-02"
-        )
-
-
-def check_follows(record: Record, before: Record) -> None:
-    """Refuse a file that follows another after weeks, but soon by another order of the dates.
-
-    Parameters
-    ----------
-    record, before : Record
-        For a file, and for the file before it in the order of time.
-
-    Raises
-    ------
-    InputError
-        With what to write.
-    """
-    step = record.first - before.last
-    ends = {order: last for order, (_, last) in before.by_other_orders.items()}
-    begins = {order: first for order, (first, _) in record.by_other_orders.items()}
-    order, other = shorter_order(step, ends, begins)
-    if order:
-        both = two_orders((record.order, step), (order, other))
-        raise InputError(f"{record.where}: since {before.where} {both}")
 
 
 def merged(records: Iterable[Record]) -> tuple[Record, ...]:
