@@ -9,7 +9,7 @@ from estimator.export.program import Precision, Program, checked_name
 from estimator.export.recorded import check_answerable, even, recorded
 from estimator.kind import OpenedEstimator
 from estimator.registry import kind_of
-from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.errors import InputError, unknown_name
 
 
 def export_program(
@@ -40,10 +40,13 @@ def export_program(
     Raises
     ------
     InputError
-        The kind is not exportable, the name is invalid, a sample is unusable or would be judged
-        differently by the program, or a coefficient is not representable at this precision.
+        The kind is not exportable, the name or the precision is invalid, a sample is unusable or
+        would be judged differently by the program, or a coefficient is not representable at this
+        precision.
     """
     checked_name(name)
+    if precision not in list(Precision):
+        raise unknown_name("precision", precision, Precision, "export")
     numbers = Precision(precision)
     kind = kind_of(estimator)
     if kind.program is None:

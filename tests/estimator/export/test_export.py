@@ -34,6 +34,11 @@ from thermojoint.models.filters.phi import divided_differences, phi_functions
 DT = 20.0
 
 
+def test_an_unknown_precision_is_refused(fchs):
+    with pytest.raises(InputError, match="no precision named 'half'; known: double, single"):
+        export_program(fchs, "half", "spindle")
+
+
 @needs_gcc
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_a_day_of_the_coarse_machine_is_the_same_in_c(fchs, coarse_day, precision, tmp_path):

@@ -624,6 +624,11 @@ def test_an_old_estimate_is_no_estimate():
     assert found[20] == "follow"
 
 
+def test_a_preview_of_no_estimates_is_refused(files):
+    with pytest.raises(InputError, match=r"offsets: no rows; give estimates"):
+        next(preview(read_settings(files / "offsets.toml"), ("x",), [], "offsets"))
+
+
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [

@@ -61,9 +61,11 @@ def preview(
     Raises
     ------
     InputError
-        The estimate lacks an axis, a position or a slope that is followed, or the cycles are too
-        many to write.
+        There is no row, the estimate lacks an axis, a position or a slope that is followed, or the
+        cycles are too many to write.
     """
+    if not rows:
+        raise InputError(f"{where}: no rows; give estimates")
     check_axes(settings, (*axes, *rows[0].places), where)
     output = with_slopes(settings, strokes_of(axes, rows), where).output
     references = np.array([one.reference for one in output.slopes])
