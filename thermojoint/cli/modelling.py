@@ -460,8 +460,7 @@ def validate(  # noqa: PLR0913 - the options of a command
                 name: joined(reported(log_pieces([path], renamed))) for name, path in named.items()
             }
             figures = kind.judge_logs(given, logs)
-            if not getattr(given, "positions", ()):
-                console.warn(_misread(logs, {str(row["axis"]) for row in figures["rows"]}))
+            console.warn(_misread(logs, {str(row["axis"]) for row in figures["rows"]}))
             if picture:
                 _draw_judged(started(kind, given, Options()), logs, picture)
     else:
@@ -488,12 +487,16 @@ def validate(  # noqa: PLR0913 - the options of a command
 
 
 def _misread(logs: Mapping[str, Log], judged: Collection[str]) -> list[str]:
-    """Return a warning about each displacement, read at one place, that has spikes in a log."""
+    """Return a warning about each displacement that has spikes in a log.
+
+    In a log with the positions of an axis, displacements change as it moves.
+    """
     from calibrate.learning.thinning import spikes_of
 
     return [
         f"{name}: {column}: {count} spikes, as of misread displacements; the errors contain them"
         for name, log in logs.items()
+        if not any(one.is_position for one in log.columns)
         for column, count in spikes_of(log, judged)[1].items()
         if column in judged
     ]
