@@ -15,10 +15,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fesim.case.axis_section import seats_of
-from fesim.case.history import read_history, read_samples
+from fesim.case.history import read_samples
 from fesim.case.schema import Case
 from fesim.case.thermal_sections import SampledInput
 from meshes.units import USUAL_SIZE
+from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.tables.columns import beginning
 
@@ -230,9 +231,9 @@ def of_case(case: Case, where: str) -> list[str]:
 def of_cases(cases: Iterable[Case], where: str) -> list[str]:
     """Return the warnings for several cases, one for each key, history and axis without a seat."""
     warnings: dict[str, list[str]] = {}
-    histories: dict[tuple[Path, str, Quantity], None] = {}
+    quantities: dict[tuple[Path, str], Quantity] = {}
     lasting: dict[tuple[Path, str], float] = {}
-    apart: dict[str, None] = {}
+    together: dict[tuple[Path, ...], float] = {}
     for case in cases:
         data = case.model_dump()
         for pattern, quantity in CASE.items():
@@ -241,15 +242,20 @@ def of_cases(cases: Iterable[Case], where: str) -> list[str]:
                     warnings.setdefault(place, lines)
         for place, line in _pointless(case):
             warnings.setdefault(place, [f"{where}: {place}: {line}"])
-        histories |= dict.fromkeys(_histories(case))
-        for read in _files_in_time(case):
+        quantities |= {(path, column): quantity for path, column, quantity in _histories(case)}
+        files = list(_files_in_time(case))
+        for read in files:
             lasting[read] = max(60.0 * case.march.duration_min, lasting.get(read, 0.0))
-        apart |= dict.fromkeys(_begun_apart(case))
+        paths, step = tuple(dict.fromkeys(path for path, _ in files)), case.march.step_s
+        together[paths] = min(step, together.get(paths, step))
     return [
         *(line for lines in warnings.values() for line in lines),
-        *(line for history in histories for line in of_history(*history)),
-        *(line for read, end in lasting.items() for line in _unused(*read, end)),
-        *apart,
+        *(
+            line
+            for read, end in lasting.items()
+            for line in _of_history(*read, quantities.get(read), end)
+        ),
+        *dict.fromkeys(line for files in together.items() for line in _begun_apart(*files)),
     ]
 
 
@@ -312,59 +318,26 @@ def _files_in_time(case: Case) -> Iterator[tuple[Path, str]]:
     yield from ((path, column) for path, column in files if path is not None)
 
 
-def _unused(path: Path, column: str, end: float) -> list[str]:
-    """Return the warning about a history that does not change during a march of `end` seconds.
+def _of_history(path: Path, column: str, quantity: Quantity | None, end: float) -> list[str]:
+    """Return the warnings about a history in a march of `end` seconds, which is read once.
 
     An unreadable file is reported elsewhere.
     """
     try:
-        history = read_history(path, column)
+        samples = read_samples(path, column)
     except InputError:
         return []
-    first, last = (float(time) for time in history.times[[0, -1]])
-    if np.ptp(history.values) == 0.0 or (first < end and last > 0.0):
+    if not samples[0].size or not np.isfinite(samples).all():
         return []
-    return [
-        f"{path}: {column} goes from {first:g} to {last:g} s, wholly outside the march from 0 to "
-        f"{end:g} s, in which it stays at {float(history(np.zeros(1))[0]):g}; count time_s from "
-        "the start of the march"
-    ]
+    lines = [] if quantity is None else _in_another_unit(path, column, quantity, samples)
+    return lines + _unused(path, column, end, samples)
 
 
-def _begun_apart(case: Case) -> Iterator[str]:
-    """Yield a warning for histories of a case whose first rows were written at other times.
-
-    Each counts from its own first row, so that what was read at one time would act at two.
-    """
-    first: dict[str, tuple[Path, float]] = {}
-    for path in dict.fromkeys(path for path, _ in _files_in_time(case)):
-        try:
-            begun = beginning(path, "history")
-        except InputError:
-            continue
-        if begun is None:
-            continue
-        other, moment = first.setdefault(begun[0], (path, begun[1]))
-        later = begun[1] - moment
-        if abs(later) > case.march.step_s:
-            order = "later" if later > 0.0 else "earlier"
-            yield (
-                f"{path}: its first row is {abs(later):g} s {order} than that of {other}, and each "
-                "history counts from its own first row; let both begin at the same time"
-            )
-
-
-def of_history(path: Path, column: str, quantity: Quantity) -> list[str]:
-    """Return the warning about a history with implausible values or swapped columns.
-
-    An unreadable file is reported elsewhere.
-    """
-    try:
-        times, values = read_samples(path, column)
-    except InputError:
-        return []
-    if not values.size or not np.isfinite([times, values]).all():
-        return []
+def _in_another_unit(
+    path: Path, column: str, quantity: Quantity, samples: tuple[Array, Array]
+) -> list[str]:
+    """Return the warning about a history with implausible values or swapped columns."""
+    times, values = samples
     furthest = float(values[np.argmax(np.abs(values - quantity.typical))])
     lines = implausible(f"{path}: {column}", furthest, quantity)
     taken_for_values = all(_plausible(float(time), quantity) for time in times)
@@ -374,6 +347,45 @@ def of_history(path: Path, column: str, quantity: Quantity) -> list[str]:
             f"{values[-1]:g} in every row, time_s only goes from {times[0]:g} to {times[-1]:g}"
         ]
     return lines
+
+
+def _unused(path: Path, column: str, end: float, samples: tuple[Array, Array]) -> list[str]:
+    """Return the warning about a history that does not change during a march of `end` seconds."""
+    times, values = samples
+    first, last = float(times[0]), float(times[-1])
+    changes = np.ptp(values) > 0.0 and bool((np.diff(times) > 0.0).all())
+    if not changes or (first < end and last > 0.0):
+        return []
+    stays = float(values[0] if first >= end else values[-1])
+    return [
+        f"{path}: {column} goes from {first:g} to {last:g} s, wholly outside the march from 0 to "
+        f"{end:g} s, in which it stays at {stays:g}; count time_s from the start of the march"
+    ]
+
+
+def _begun_apart(paths: Sequence[Path], step: float) -> Iterator[str]:
+    """Yield a warning for histories of a case whose first rows are more than a step, s, apart.
+
+    Each counts from its own first row, so that what was read at one time would act at two.
+    """
+    if len(paths) < 2:
+        return
+    first: dict[str, tuple[Path, float]] = {}
+    for path in paths:
+        try:
+            begun = beginning(path, "history")
+        except InputError:
+            continue
+        if begun is None:
+            continue
+        other, moment = first.setdefault(begun[0], (path, begun[1]))
+        later = begun[1] - moment
+        if abs(later) > step:
+            order = "later" if later > 0.0 else "earlier"
+            yield (
+                f"{path}: its first row is {abs(later):g} s {order} than that of {other}, and each "
+                "history counts from its own first row; let both begin at the same time"
+            )
 
 
 def of_structure(structure: Structure, where: str) -> list[str]:
