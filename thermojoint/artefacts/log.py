@@ -146,10 +146,9 @@ def joined(pieces: Iterable[Log]) -> Log:
     kept: list[Log] = []
     starts: list[int] = []
     rows = 0
-    for given in pieces:
-        piece = given.with_order(kept[0].columns) if kept else given
+    for piece in pieces:
         if kept and piece.columns != kept[0].columns:
-            other = sorted({*piece.names} ^ {*kept[0].names})
+            other = sorted({*piece.names} ^ {*kept[0].names}) or ["in another order"]
             raise InputError(
                 f"log: a file has other columns than the first ({', '.join(other)}); rename them"
             )

@@ -163,7 +163,7 @@ def _in_order(paths: Sequence[Path], renamed: Mapping[str, str] | None) -> list[
             repeated.setdefault(known, []).append(path)
     begun = [_begun(path, renamed) for path in kept]
     of_dates = common_order(
-        _readable(path, renamed, head.records[0].orders)
+        [*_readable(path, renamed, head.records[0].orders)]
         for path, head in zip(kept, begun, strict=True)
         if head
     )
@@ -208,16 +208,16 @@ def order_of_dates(path: Path, renamed: Mapping[str, str] | None, orders: Sequen
     order : str
         Empty if there is none: reading the file says why.
     """
-    return next(iter(_readable(path, renamed, orders)), "")
+    return next(_readable(path, renamed, orders), "")
 
 
 def _readable(
     path: Path, renamed: Mapping[str, str] | None, orders: Sequence[str]
-) -> Sequence[str]:
-    """Return those of some orders in which the dates of a file can be read to its end."""
-    if len(orders) < 2:
-        return orders
-    return [order for order in orders if _is_readable(path, renamed, order)]
+) -> Iterator[str]:
+    """Yield those of some orders in which the dates of a file can be read to its end."""
+    for order in orders:
+        if len(orders) < 2 or _is_readable(path, renamed, order):
+            yield order
 
 
 def _is_readable(path: Path, renamed: Mapping[str, str] | None, order: str) -> bool:

@@ -28,12 +28,11 @@ def following(before: Log | None, pieces: Iterable[Log]) -> Iterator[Log]:
     for k, given in enumerate(pieces):
         piece = given.with_order(before.columns) if before else given
         (record,) = piece.records
-        if before:
+        if before and not k:
             check_dates(record, before.records[0])
             check_zones(record, before.records[0])
             check_orders(record, before.records[0])
-            if not k:
-                check_follows(record, before.records[0])
+            check_follows(record, before.records[0])
         if before is None or not record.dated:
             yield piece
             continue
