@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Container, Sequence
+from collections.abc import Container, Mapping, Sequence
 
 import numpy as np
 import xarray as xr
@@ -100,25 +100,24 @@ def runs_of(log: Log, case: Case, displacement: Sequence[str]) -> dict[str, xr.D
             None if room is None else room[kept] - cold,
         )
         if loads:
-            under = np.column_stack([read[kept] for read in loads.values()])
-            runs[where] = (
-                runs[where]
-                .assign(load_factor=(("time", "load"), under, {"units": "1"}))
-                .assign_coords(load=list(loads))
-            )
+            under = {name: read[kept] for name, read in loads.items()}
+            runs[where] = _with(runs[where], "load_factor", "load", under, "1")
         if places:
-            at = np.column_stack([read[kept] for read in places.values()])
-            runs[where] = (
-                runs[where]
-                .assign(axis_position=(("time", "moving_axis"), at, {"units": "m"}))
-                .assign_coords(moving_axis=list(places))
-            )
+            at = {name: read[kept] for name, read in places.items()}
+            runs[where] = _with(runs[where], "axis_position", "moving_axis", at, "m")
         if ways:
-            gone = gone_along(at)
-            for name, read in ways.items():
-                gone[:, list(places).index(name)] = read[kept]
-            runs[where]["axis_way"] = (("time", "moving_axis"), gone, {"units": "m"})
+            gone = {name: gone_along(read) for name, read in at.items()}
+            gone |= {name: read[kept] for name, read in ways.items()}
+            runs[where] = _with(runs[where], "axis_way", "moving_axis", gone, "m")
     return runs
+
+
+def _with(
+    run: xr.Dataset, variable: str, over: str, columns: Mapping[str, Array], unit: str
+) -> xr.Dataset:
+    """Return a run with one more variable, of a column for each name along `over`."""
+    values = (("time", over), np.column_stack([*columns.values()]), {"units": unit})
+    return run.assign({variable: values}).assign_coords({over: list(columns)})
 
 
 def _without_spikes(log: Log, still: Sequence[str]) -> Log:
