@@ -34,8 +34,8 @@ def writes(given: TargetFile, lines: Iterable[str], where: str) -> Iterator[tupl
     Raises
     ------
     InputError
-        There is no row, a column is missing or of an axis or slope that the target has not, times
-        do not increase, a value is not a number or is beyond the range of the control.
+        There is no row, a column is missing or of an axis or slope that the target does not have,
+        times do not increase, a value is not a number or is beyond the range of the control.
     """
     every = writes_of(given, given.axes)
     values = dict.fromkeys((write[:2] for write in every), 0.0)
@@ -72,7 +72,7 @@ def writes(given: TargetFile, lines: Iterable[str], where: str) -> Iterator[tupl
 
 
 def _check_taken(given: TargetFile, columns: Iterable[str], where: str) -> None:
-    """Refuse columns of an axis or a slope that the target has not, as the service does."""
+    """Refuse columns of an axis or a slope that the target does not have; so does the service."""
     for column in columns:
         if (found := _OFFSET.fullmatch(column)) and found[1] not in given.axes:
             raise InputError(
