@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from thermojoint.artefacts.errors import InputError, unknown_name
-from thermojoint.artefacts.response import probes_of
+from thermojoint.artefacts.response import held_of, probes_of
 from thermojoint.models.sensors import JOINT_SENSORS
 
 if TYPE_CHECKING:
@@ -102,10 +102,8 @@ def with_added(response: xr.Dataset, added: Mapping[str, np.ndarray]) -> xr.Data
     InputError
         A sensor is not in the response.
     """
-    names = {"temperature": probes_of(response)}
-    if "held_temperature" in response:
-        names["held_temperature"] = [str(name) for name in response["held"].to_numpy()]
-    noisy = {variable: response[variable].copy(deep=True) for variable in names}
+    names = {"temperature": probes_of(response), "held_temperature": held_of(response)}
+    noisy = {name: response[name].copy(deep=True) for name, known in names.items() if known}
     for sensor, values in added.items():
         where = next((variable for variable, known in names.items() if sensor in known), None)
         if where is None:

@@ -10,7 +10,7 @@ import xarray as xr
 
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
-from thermojoint.artefacts.response import columns_of, probes_of
+from thermojoint.artefacts.response import columns_of, held_of, probes_of
 
 #: A thermometer further than this from a place is at another one, m.
 ELSEWHERE = 1e-3
@@ -53,10 +53,7 @@ def temperatures_in(response: xr.Dataset, sensors: Sequence[str]) -> Array:
     InputError
         One is missing.
     """
-    held: list[str] = []
-    if "held_temperature" in response:
-        held = [str(name) for name in response["held"].to_numpy()]
-    probes = {str(name) for name in response["probe"].to_numpy()}
+    held, probes = held_of(response), probes_of(response)
     columns = [
         columns_of(
             response,

@@ -369,6 +369,13 @@ def probes_of(response: xr.Dataset) -> list[str]:
     return [str(name) for name in response["probe"].to_numpy()]
 
 
+def held_of(response: xr.Dataset) -> list[str]:
+    """Return the names of the held surfaces whose temperature a response has, in their order."""
+    if "held_temperature" not in response:
+        return []
+    return [str(name) for name in response["held"].to_numpy()]
+
+
 def axes_of(response: xr.Dataset) -> list[str]:
     """Return the names of the displacement axes of a response, in their order."""
     return [str(name) for name in response["axis"].to_numpy()]
