@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calibrate.learning.rules import Cleaning
 from calibrate.learning.speed_levels import held_levels
@@ -42,7 +43,7 @@ def clean(table: Table, displacements: tuple[str, ...], rules: Cleaning) -> Clea
     ------
     InputError
         The log is too short, nothing warms the machine, no sensor is usable, or a displacement is
-        constant, mostly missing, has many spikes, or jumps.
+        constant, rarely read, has many spikes, or jumps.
     """
     names, length = table.names, longest_run(table, read_time(table))
     if length < rules.shortest:
@@ -186,10 +187,14 @@ def _fault(table: Table, k: int, changes: Flags, rules: Cleaning) -> str | None:
     times, read = table.times[there], read_time(table)[there]
     # A pause of this sensor alone does not count either.
     read = _without_pauses(np.diff(read, prepend=read[0]), table.interval)
-    stuck = _longest_still(seen, read, rules.unchanged)
-    if stuck > max(rules.stuck * (read[-1] - read[0]), rules.shortest_stuck):
+    still = _longest_still(seen, read, rules.unchanged)
+    stuck = float(read[still.stop - 1] - read[still.start])
+    if (
+        stuck > max(rules.stuck * (read[-1] - read[0]), rules.shortest_stuck)
+        and _expected(table, k, np.flatnonzero(there)[still]) > rules.shown * table.steps[k]
+    ):
         return f"stuck at one value for {stuck / 60.0:.0f} min"
-    jump = _jump(seen, _changes_before(table, there, changes, rules), rules)
+    jump = _jump(seen, _changes_before(table, there, changes, rules), float(table.steps[k]), rules)
     if jump is not None:
         row, size = jump
         hours = (times[row] - times[0]) / 3600.0
@@ -197,27 +202,51 @@ def _fault(table: Table, k: int, changes: Flags, rules: Cleaning) -> str | None:
     return None
 
 
-def _longest_still(values: Array, times: Array, unchanged: float) -> float:
-    """Return the longest reading time with an unchanged value, s."""
-    new = np.flatnonzero(np.abs(np.diff(values)) > unchanged)
-    ends = np.concatenate(([0], new + 1, [len(values) - 1]))
-    return float(np.diff(times[ends]).max(initial=0.0))
+def _longest_still(values: Array, times: Array, unchanged: float) -> slice:
+    """Return the rows of the longest reading time with an unchanged value."""
+    new = 1 + np.flatnonzero(np.abs(np.diff(values)) > unchanged)
+    ends = np.concatenate(([0], new, [len(values)]))
+    first = int(np.argmax(times[ends[1:] - 1] - times[ends[:-1]]))
+    return slice(int(ends[first]), int(ends[first + 1]))
 
 
-def _jump(values: Array, changing: Flags, rules: Cleaning) -> tuple[int, float] | None:
-    """Return row and size of a lasting jump within one interval, if there is one."""
+def _expected(table: Table, k: int, rows: NDArray[np.int64]) -> float:
+    """Return how far a temperature should move in some rows by the share of the others, K."""
+    others = [
+        table.values[:, other]
+        for other, column in enumerate(table.columns)
+        if other != k and column.quantity == "temperature"
+    ]
+    shares = [_range(one[rows]) / size for one in others if (size := _range(one)) > 0.0]
+    return float(np.median(shares or [1.0])) * _range(table.values[:, k])
+
+
+def _range(values: Array) -> float:
+    there = values[np.isfinite(values)]
+    return float(np.ptp(there)) if there.size else 0.0
+
+
+def _jump(
+    values: Array, changing: Flags, display: float, rules: Cleaning
+) -> tuple[int, float] | None:
+    """Return row and size of a lasting jump within one interval, if there is one.
+
+    It is larger than one step of the thermometer's display, K.
+    """
     side = rules.side
     if len(values) < 4 * side:
         return None
     steps = np.where(changing[1:], 0.0, np.diff(values))
     usual = float(np.median(np.abs(steps))) + rules.least_usual
+    least = max(rules.moved + display, rules.usual * usual)
     for row in np.argsort(-np.abs(steps))[: rules.candidates]:
         size = float(steps[row])
-        if abs(size) < max(rules.moved, rules.usual * usual):
+        if abs(size) < least:
             return None
         before = values[max(0, row + 1 - side) : row + 1]
         after = values[row + 1 : row + 1 + side]
-        lasting = float(np.median(after) - np.median(before))
+        drift = side * float(np.median(np.concatenate((np.diff(before), np.diff(after)))))
+        lasting = float(np.median(after) - np.median(before)) - drift
         quiet = max(float(np.ptp(before)), float(np.ptp(after[1:]))) if len(after) > 1 else 0.0
         if len(after) > side // 2 and lasting * np.sign(size) > rules.lasting * abs(size) > quiet:
             return int(row + 1), size
@@ -237,11 +266,14 @@ def _check_displacement(table: Table, k: int, changing: Flags, rules: Cleaning) 
             f"{column.name}: {int(table.spikes[k])} spikes in {table.samples} samples; check the "
             "probe and its cable, or leave these readings empty"
         )
-    there = np.isfinite(values)
-    if there.mean() < 1.0 - rules.displacement_missing:
+    there, read = np.isfinite(values), read_time(table)
+    of_runs = [read[run][there[run]] for run in table.runs()]
+    hours = max((float(np.ptp(own)) for own in of_runs if own.size), default=0.0) / 3600.0
+    if there.sum() < rules.fewest or hours < rules.shortest / 3600.0:
         raise InputError(
-            f"{column.name}: mostly missing; record it with the temperatures, or learn few "
-            "readings beside the model of a machine like this one (--like)"
+            f"{column.name}: {int(there.sum())} readings, {hours:.1f} h from the first to the last "
+            f"in one run; give {rules.fewest} or more over {rules.shortest / 3600.0:.0f} h, or "
+            "learn few readings beside the model of a machine like this one (--like)"
         )
     seen = values[there]
     size = float(np.ptp(seen))

@@ -275,6 +275,7 @@ def _cleaned(
             values=table.values[:, kept],
             spikes=table.spikes[kept],
             missing=table.missing[kept],
+            steps=table.steps[kept],
         ),
         names,
         rules.cleaning,
@@ -296,9 +297,7 @@ def _rows(cleaned: Cleaned, along: Along | None, kind: Kind, most: int, rules: R
     elif kind == "ridge":
         features = tuple(feature for feature in features if not feature.exponent)
     at, inputs, outputs = design(cleaned, features, rules.features, along)
-    interval = cleaned.table.interval
-    if along:
-        interval = float(read_time(cleaned.table)[-1]) / len(at)
+    interval = _between_readings(cleaned.table, at, along)
     if kind == "arx":
         now, slowest = list(range(len(features))), rules.features.slow[-1]
         tau = baselines.autoregressive_tau(
@@ -326,6 +325,13 @@ def _rows(cleaned: Cleaned, along: Along | None, kind: Kind, most: int, rules: R
     if along:
         size = slope_sizes(size, along.lever, rules.features)
     return _Rows(features, size, at, inputs, outputs, margin, along, fitted)
+
+
+def _between_readings(table: Table, at: NDArray[np.int64], along: Along | None) -> float:
+    """Mean time between readings of a displacement in the rows `at`, s."""
+    if along:
+        return float(read_time(table)[-1]) / len(at)
+    return table.interval * float(at[-1] + 1 - at[0]) / len(at)
 
 
 class _Judged(NamedTuple):

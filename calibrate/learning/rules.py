@@ -23,12 +23,13 @@ class Thinning:
     #: Mean times of uneven samples vary by up to this factor around the interval.
     uneven: float = 1.5
     #: A value is a spike if it is above, or below, the medians of `neighbours` values on either
-    #: side by `spike` times their usual distance and by `least_spike`, K, or, of a displacement,
-    #: `least_spike_length`, m. These grow with the interval of a slower log, since the machine
-    #: warms up between its samples.
+    #: side by `spike` times their usual distance and by `least_spike`, K, beside one step of its
+    #: display (at most `coarsest_display`); a displacement by `least_spike_length`, m. These grow
+    #: with the interval of a slower log, since the machine warms up between its samples.
     spike: float = 12.0
     neighbours: int = 4
     least_spike: float = 0.5
+    coarsest_display: float = 1.0
     least_spike_length: float = 5e-6
     #: Where a drive changes by this part of its largest value, a displacement has no spike but one
     #: that is further outside the range of the others than this is wide.
@@ -44,11 +45,12 @@ class Thinning:
 class Cleaning:
     """Exclusion of sensors and refusal of logs."""
 
-    #: A shorter log, s, contains no information on relaxations of an hour.
+    #: A shorter log, s, or time with readings of a displacement, contains no information on
+    #: relaxations of an hour.
     shortest: float = 3.0 * 3600.0
     #: A longer interval between samples, s, is more than half of the slowest relaxation.
     coarsest: float = 3600.0
-    #: Fewer rows cannot be held out block by block.
+    #: Fewer rows, or readings of a displacement, cannot be held out block by block.
     fewest: int = 48
     #: A sensor within this range has not moved, K; a displacement, m.
     still: float = 0.1
@@ -56,13 +58,14 @@ class Cleaning:
     #: Without a drive, one temperature must have this standard deviation, K.
     warms: float = 0.5
     #: A sensor is excluded if it stays within `unchanged`, K (rounding of its display), for this
-    #: fraction of the log and for this time, s.
+    #: fraction of the log and for this time, s, in which it should move by `shown` steps of its
+    #: display according to the others.
     stuck: float = 0.1
     shortest_stuck: float = 1800.0
     unchanged: float = 1e-9
-    #: A sensor is excluded, a displacement refused, if more than this is missing.
+    shown: float = 2.0
+    #: A sensor is excluded if more than this is missing.
     missing: float = 0.2
-    displacement_missing: float = 0.5
     #: More spikes than this share of the samples are a fault.
     spikes: float = 1e-2
     #: A jump within one interval, K, as a multiple of usual changes; these are at least the

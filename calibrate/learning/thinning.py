@@ -42,6 +42,8 @@ class Table:
     #: Shape (columns,): removed samples, and missing ones.
     spikes: Array
     missing: Array
+    #: Shape (columns,): smallest change from one sample to the next, SI: one step of a display.
+    steps: Array
     #: Index of the run that was given last.
     last: int = -1
 
@@ -110,12 +112,13 @@ def thinned(
     starts: list[int] = []
     columns: tuple[Column, ...] = ()
     samples, last = 0, np.inf
-    spikes = missing = np.zeros(0)
+    spikes = missing = steps = np.zeros(0)
     for piece in runs_in(pieces):
         at = [piece.index(name) for name in names] if names else list(range(len(piece.columns)))
         here = tuple(piece.columns[k] for k in at)
         if not columns:
             columns, spikes, missing = here, np.zeros(len(at)), np.zeros(len(at))
+            steps = np.full(len(at), np.inf)
         if here != columns:
             raise InputError("log: a file has other columns than the first; rename them")
         if not piece.times[0] > last:
@@ -127,6 +130,7 @@ def thinned(
         still_here = {piece.columns[piece.index(name)].name for name in still}
         values, counts = without_spikes(piece.times, values, here, still_here, rules)
         spikes += counts
+        steps = np.minimum(steps, _smallest_changes(values))
         driving = np.array([column.quantity in DRIVES for column in here])
         rows.extend(_means(piece.times, values, interval, driving))
         while len(rows) > rules.most_rows:
@@ -144,7 +148,14 @@ def thinned(
         samples,
         spikes,
         missing,
+        steps,
     )
+
+
+def _smallest_changes(values: Array) -> Array:
+    """Return the smallest change between successive values (k, columns) that is not zero."""
+    changes = np.abs(np.diff(values, axis=0))
+    return np.asarray(np.where(changes > 0.0, changes, np.inf).min(axis=0, initial=np.inf))
 
 
 def _usual_step(times: Array, interval: float, uneven: float) -> float:
@@ -175,9 +186,12 @@ def without_spikes(
         What a spike is.
     """
     spikes = np.zeros(values.shape, dtype=bool)
+    # A value may flicker by one step of its display.
+    shown = np.minimum(_smallest_changes(values), rules.coarsest_display)
     for k, column in enumerate(columns):
         if column.quantity == "temperature":
-            spikes[:, k] = _beyond_neighbours(times, values[:, k], rules.least_spike, rules)
+            least = rules.least_spike + float(shown[k])
+            spikes[:, k] = _beyond_neighbours(times, values[:, k], least, rules)
         elif column.quantity == "speed":
             spikes[:, k] = _never_held(values[:, k], rules)
         elif column.name in still:

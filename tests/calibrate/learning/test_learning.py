@@ -125,6 +125,28 @@ def test_a_faulty_sensor_is_named_and_left_out(fault, said):
         assert row["rms_error_um"] < 0.3 * row["rms_uncompensated_um"]
 
 
+def test_a_jump_against_the_trend_of_its_sensor_is_found_too():
+    """A thermometer that cools by 1.5 K in the hour about it, then reads 2 K more."""
+
+    def jumps(values):
+        fall = np.interp(np.arange(len(values)), [400, 460], [0.0, 1.5])
+        return values - fall + 2.0 * (np.arange(len(values)) > 430)
+
+    found = learn([changed(LOG, "T6_degC", jumps)], AXES, 4)
+    assert "T6_degC: jumps by +2.0 K" in found.learned_from.faults[0]
+
+
+@pytest.mark.parametrize("slower", [1, 5])
+def test_a_thermometer_with_a_display_in_whole_degrees_has_not_been_moved(slower):
+    """As drives report the temperature of a motor, averaged by the logger or not."""
+    log = changed(
+        machine_log(interval=60.0 / slower),
+        "T2_degC",
+        lambda values: np.round(values - 0.15) + 0.15,
+    )
+    assert learn([log], AXES, 4).learned_from.faults == ()
+
+
 def test_a_night_between_two_days_is_no_stillness():
     day = machine_log(hours=34.0, seed=4)
     hours = day.times / 3600.0
@@ -260,13 +282,27 @@ def jump(values):
     return values
 
 
+def read_every(count):
+    """A displacement that is probed now and then beside temperatures that are logged."""
+
+    def rarely(values):
+        return np.where(np.arange(len(values)) % count == 0, values, np.nan)
+
+    return rarely
+
+
+def for_two_hours(values):
+    return np.where(np.arange(len(values)) < 120, values, np.nan)
+
+
 @pytest.mark.parametrize(
     ("log", "said"),
     [
         (LOG.part(slice(0, 100)), "1.6 h long"),
         (changed(LOG, "x_um", lambda values: values * 0.0), "x_um: constant"),
         (changed(LOG, "x_um", jump), "x_um: jumps by"),
-        (changed(LOG, "x_um", lambda values: values * np.nan), "x_um: mostly missing"),
+        (changed(LOG, "x_um", read_every(18)), "x_um: 47 readings, 13.8 h from the first"),
+        (changed(LOG, "x_um", for_two_hours), "x_um: 120 readings, 2.0 h from the first"),
         (still(LOG, "n_rpm", *(f"T{k}_degC" for k in range(1, 7))), "no usable temperature"),
         # What is left is the speed, which nobody has asked for alone.
         (still(LOG, *(f"T{k}_degC" for k in range(1, 7))), "exclude them with --ignore"),
@@ -285,6 +321,14 @@ def test_a_log_that_cannot_be_learned_from_is_refused_in_one_line(log, said):
 @pytest.fixture(scope="module")
 def long_log():
     return machine_log(hours=60.0, seed=3)
+
+
+def test_a_displacement_probed_once_an_hour_is_learned(long_log):
+    log = changed(changed(long_log, "x_um", read_every(60)), "z_um", read_every(60))
+    estimator = Learned(learn([log], AXES, 4))
+    for row in judge("day", estimator, DAY):
+        assert row["rms_error_um"] < 0.1 * row["rms_uncompensated_um"]
+        assert row["band_cover"] > 0.9
 
 
 @pytest.mark.parametrize(
