@@ -59,14 +59,14 @@ Part = TypeVar(
 )
 
 
-def write_observer(model: ObserverModel, path: Path) -> None:
+def write_observer(model: ObserverModel, path: Path | str) -> None:
     """Write the model of a machine's observer, whole or not at all.
 
     Parameters
     ----------
     model : ObserverModel
         From `calibrate_joint_aware`.
-    path : Path
+    path : Path or str
         HDF5.
     """
     header, arrays = _header(model), _arrays(model)
@@ -79,12 +79,12 @@ def write_observer(model: ObserverModel, path: Path) -> None:
     write_bytes(Path(path), made.getvalue())
 
 
-def read_observer(path: Path) -> ObserverModel:
+def read_observer(path: Path | str) -> ObserverModel:
     """Read a model written by `write_observer`.
 
     Parameters
     ----------
-    path : Path
+    path : Path or str
         HDF5.
 
     Raises

@@ -47,12 +47,14 @@ def mapping_from_data(content: dict[str, Any], path: Path | str) -> dict[str, st
     return {str(theirs): str(ours) for theirs, ours in columns.items()}
 
 
-def read_log(paths: Sequence[Path], renamed: Mapping[str, str] | None = None) -> Log:
-    """Read a log from files.
+def read_log(
+    paths: Path | str | Sequence[Path | str], renamed: Mapping[str, str] | None = None
+) -> Log:
+    """Read a log from a file or several.
 
     Parameters
     ----------
-    paths : sequence of Path
+    paths : Path or str, or sequence of them
         CSV, .xlsx or Parquet with the same columns (docs/tables.md): a clock and readings whose
         names end in their units. Files whose clocks have dates are sorted by time.
     renamed : mapping, optional
@@ -66,7 +68,8 @@ def read_log(paths: Sequence[Path], renamed: Mapping[str, str] | None = None) ->
         reading, a clock that goes back, rows that contradict each other, the hours or rows of
         another file, dates whose order is open, or values in °C that look like kelvin.
     """
-    return joined(log_pieces(paths, renamed))
+    files = [paths] if isinstance(paths, Path | str) else paths
+    return joined(log_pieces([Path(path) for path in files], renamed))
 
 
 def log_pieces(paths: Sequence[Path], renamed: Mapping[str, str] | None = None) -> Iterator[Log]:

@@ -55,6 +55,12 @@ def test_columns_are_given_names_with_units(tmp_path):
     assert log.at("T1_degC") == pytest.approx([293.65, 294.65])
 
 
+def test_a_log_of_one_file_is_read_by_its_path_or_its_name(tmp_path):
+    path = written(tmp_path, "time_s,x_um\n0,1\n1,2\n")
+    for asked in (path, str(path), [path], [str(path)]):
+        assert logs.read_log(asked).at("x_um") == pytest.approx([1e-6, 2e-6])
+
+
 def test_days_follow_each_other_and_a_clock_that_begins_anew_begins_a_run(tmp_path):
     days = [
         written(tmp_path, f"time_s,x_um\n{first},{k}\n{first + 9},2\n", f"{k}.csv")
