@@ -24,7 +24,7 @@ import numpy as np
 from estimator import lines
 from estimator.intake import axis_name
 from estimator.interface import READING_NOISE, Channel, Estimate, Status
-from estimator.learned.state import DRIFT, WEIGHTS, ZERO, State, flat, state_in, width_of
+from estimator.learned.state import DRIFT, WEIGHTS, ZERO, State, cut, flat, state_in, width_of
 from estimator.learned.unread import Unread, at_start, later
 from estimator.span import SLACK, with_slack
 from thermojoint.artefacts.arrays import Array, Flags
@@ -32,7 +32,7 @@ from thermojoint.artefacts.display import Described
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.quantities import column_named
 from thermojoint.models.filters.relaxations import relaxed
-from thermojoint.models.learned import FILE, LearnedModel, at_rest, signals
+from thermojoint.models.learned import FILE, LearnedModel, at_rest
 
 _UNITS = {
     "temperature": "K",
@@ -223,7 +223,7 @@ class Learned(Described):
                 f"{len(values)} values, or one that is infinite; give {parts[-1]}, "
                 "NaN where a reading is missing"
             )
-        now, here, readings, there = np.split(sample, parts[:-1])
+        now, here, readings, there = cut(sample, parts[:-1])
         lowest, highest = self._possible
         now = np.where((now > lowest) & (now < highest), now, np.nan)
         missing = np.isnan(now)
@@ -234,16 +234,11 @@ class Learned(Described):
             last = self._forgotten(last, time - last.time)
         row = np.concatenate(([1.0, 1.0], low))
         status = Status.OK
-        at = self._levers(np.where(np.isnan(there), here, there))
-        shares = self._shares(1.0, at)
-        unknown = self._seen(last, row, shares)[2]
-        for c in np.flatnonzero(~np.isnan(readings)):
-            noise = self.reading_noise**2 + unknown[c] ** 2
-            own = np.outer(shares[c], row).ravel()
-            # A reading along an axis cannot be used without its position.
-            if np.isnan(at[c]) or self._correct(last, int(c), own, float(readings[c]), noise):
-                status |= Status.READING_REFUSED
-        estimate, band, unknown = self._seen(last, row, self._shares(1.0, np.zeros_like(at)))
+        if not np.isnan(readings).all():
+            at = self._levers(np.where(np.isnan(there), here, there))
+            status = self._corrected(last, row, readings, at)
+        at_p0 = self._shares(1.0, np.zeros(len(self.axes)))
+        estimate, band, unknown = self._seen(last, row, at_p0)
         details = self._details(last, row, self._levers(here))
         begun = time if np.isnan(last.begun) else last.begun
         status |= self._status(now, estimate, time - begun)
@@ -252,6 +247,18 @@ class Learned(Described):
         return flat(after), Estimate(
             time, estimate, band + unknown, status, details, self._names(missing)
         )
+
+    def _corrected(self, state: State, row: Array, readings: Array, levers: Array) -> Status:
+        """Correct the filters by readings (axes,), m, in place; return the status bits."""
+        status, shares = Status.OK, self._shares(1.0, levers)
+        unknown = self._seen(state, row, shares)[2]
+        for c in np.flatnonzero(~np.isnan(readings)):
+            noise = self.reading_noise**2 + unknown[c] ** 2
+            own = np.outer(shares[c], row).ravel()
+            # A reading along an axis cannot be used without its position.
+            if np.isnan(levers[c]) or self._correct(state, int(c), own, float(readings[c]), noise):
+                status |= Status.READING_REFUSED
+        return status
 
     def _shares(self, k0: float, levers: Array) -> Array:
         """Shares of K0 and of slope (m) that make up a displacement, shape (axes, 1 or 2)."""
@@ -322,10 +329,9 @@ class Learned(Described):
     def _relaxations(self, last: State, time: float, now: Array) -> Array:
         """Relaxations of the features at `time`, s, with values now: (n,)."""
         model = self.model
-        new = signals(model.features, model.columns, now)
+        old, new = model.signals(np.array([last.values, now]))
         if last.fresh:
             return np.where(model.taus > 0.0, at_rest(model.features, new), new)
-        old = signals(model.features, model.columns, last.values)
         return relaxed(last.relaxations, old, new, time - last.time, model.taus)
 
     @cached_property

@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,12 +65,6 @@ class Feature:
     reference: float = 0.0
     #: Reference of a speed or power, SI.
     scale: PositiveFloat = 1.0
-
-    def signal(self, values: Array) -> Array:
-        """Return u for values of the column in SI, of the same shape."""
-        if self.exponent:
-            return np.asarray(np.abs(values / self.scale) ** self.exponent)
-        return np.asarray(values - self.reference)
 
 
 @dataclass(frozen=True)
@@ -267,14 +262,21 @@ class LearnedModel(Described):
     @cached_property
     def places(self) -> NDArray[np.int64]:
         """Index of the column of each feature."""
-        return np.array([self.columns.index(feature.column) for feature in self.features])
+        return self._inputs.places
 
     @cached_property
     def signal_ranges(self) -> Array:
         """Width of the range of each feature's signal in the log; for a heat, from zero."""
-        ends = np.array([self.spans[name] for name in self.columns]).T
-        low, high = signals(self.features, self.columns, ends)
+        low, high = self.signals(np.array([self.spans[name] for name in self.columns]).T)
         return np.where(self.heats, np.maximum(low, high), high - low)
+
+    @cached_property
+    def _inputs(self) -> _Inputs:
+        return _inputs_of(self.features, self.columns)
+
+    def signals(self, values: Array) -> Array:
+        """Return the signal of each feature, shape (..., n), of values (..., columns) in SI."""
+        return _signals(self._inputs, values)
 
     @cached_property
     def digest(self) -> str:
@@ -286,12 +288,30 @@ class LearnedModel(Described):
 _MODEL: TypeAdapter[LearnedModel] = TypeAdapter(LearnedModel)
 
 
-def signals(features: Sequence[Feature], columns: Sequence[str], values: Array) -> Array:
-    """Return the signal of each feature, shape (..., features), of values (..., columns) in SI."""
-    at = {name: k for k, name in enumerate(columns)}
-    return np.stack(
-        [feature.signal(values[..., at[feature.column]]) for feature in features], axis=-1
+class _Inputs(NamedTuple):
+    """What turns the columns into the signals of n features; arrays of shape (n,)."""
+
+    #: Index of the column.
+    places: NDArray[np.int64]
+    #: As in `Feature`.
+    exponents: Array
+    references: Array
+    scales: Array
+
+
+def _inputs_of(features: Sequence[Feature], columns: Sequence[str]) -> _Inputs:
+    return _Inputs(
+        np.array([columns.index(feature.column) for feature in features]),
+        np.array([feature.exponent for feature in features]),
+        np.array([feature.reference for feature in features]),
+        np.array([feature.scale for feature in features]),
     )
+
+
+def _signals(inputs: _Inputs, values: Array) -> Array:
+    own = values[..., inputs.places]
+    heats = np.abs(own / inputs.scales) ** inputs.exponents
+    return np.where(inputs.exponents > 0.0, heats, own - inputs.references)
 
 
 def at_rest(features: Sequence[Feature], first: Array) -> Array:
@@ -308,7 +328,7 @@ def features_of(
 ) -> Array:
     """Return the features of one run, shape (k, features); `run` is times and values in SI."""
     times, values = run
-    inputs = signals(features, columns, values)
+    inputs = _signals(_inputs_of(features, columns), values)
     taus = np.array([feature.tau_s for feature in features])
     return relax_all(times, inputs, taus, at_rest(features, inputs[0]))
 

@@ -684,7 +684,7 @@ def test_an_estimate_is_bounded_by_what_is_measured_or_says_so(model, kelvin, sp
     state = estimator.initial_state()
     known = dict(zip((f"T{k}_degC" for k in range(1, 7)), kelvin, strict=True)) | {"n_rpm": speed}
     values = [known[name] for name in model.columns] + [np.nan] * 2
-    signals = [one.signal(np.array(known[one.column])) for one in model.features]
+    signals = model.signals(np.array([known[name] for name in model.columns]))
     for time in (0.0, 3600.0 * hours, 7200.0 * hours):
         state, found = estimator.sample(state, time, values)
         for value, one in zip(found.displacement, model.channels, strict=True):
