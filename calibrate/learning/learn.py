@@ -105,8 +105,8 @@ def learn_and_judge(
         the position in another column, ``x_um`` at fixed ones where the log has ``x@0mm_um`` and
         ``x@400mm_um``: K0 and slope are learned jointly.
     max_sensors : int
-        Most temperatures that the model may use for the displacements read at one place together,
-        and for each of the others; a baseline uses all.
+        Most temperatures that the model may use for the displacements read at one place at the same
+        time together, and for each of the others; a baseline uses all.
     kind : str
         ``learned``, or a baseline: ``linear``, ``ridge``, ``arx``.
     ignored : sequence of str
@@ -127,7 +127,10 @@ def learn_and_judge(
         length = next((one.name for one in table.columns if one.is_displacement), "x_um")
         raise InputError(f"log: name what to learn, e.g. --displacement {length}")
     cleaned = _cleaned(table, still, ignored, rules)
-    own: list[tuple[Cleaned, Along | None]] = [(cleaned, None)] if still else []
+    own: list[tuple[Cleaned, Along | None]] = [
+        (replace(cleaned, displacements=names), None)
+        for names in _read_together(cleaned, rules.cleaning.together)
+    ]
     for one in moving:
         along, warnings = checked(one, table, rules.cleaning, rules.moving)
         of_one = replace(
@@ -138,6 +141,21 @@ def learn_and_judge(
         *(_learned(part, along, max_sensors, kind, rules) for part, along in own), strict=True
     )
     return _together(models, cleaned), _beside(held_out)
+
+
+def _read_together(cleaned: Cleaned, share: float) -> list[tuple[str, ...]]:
+    """Return the displacements in groups that are read in the same rows, up to a share of them."""
+    groups: list[list[str]] = []
+    for name in cleaned.displacements:
+        read = np.isfinite(cleaned.at(name))
+        for group in groups:
+            first = np.isfinite(cleaned.at(group[0]))
+            if np.count_nonzero(read & first) >= share * np.count_nonzero(read | first):
+                group.append(name)
+                break
+        else:
+            groups.append([name])
+    return [tuple(group) for group in groups]
 
 
 def _learned(

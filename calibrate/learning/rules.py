@@ -66,6 +66,8 @@ class Cleaning:
     shown: float = 2.0
     #: A sensor is excluded if more than this is missing.
     missing: float = 0.2
+    #: Displacements share sensors if they are read together in this part of the rows.
+    together: float = 0.9
     #: More spikes than this share of the samples are a fault.
     spikes: float = 1e-2
     #: A jump within one interval, K, as a multiple of usual changes; these are at least the

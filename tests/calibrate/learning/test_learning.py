@@ -331,6 +331,21 @@ def test_a_displacement_probed_once_an_hour_is_learned(long_log):
         assert row["band_cover"] > 0.9
 
 
+def test_displacements_probed_one_after_the_other_are_all_learned(long_log):
+    """As a touch probe reads them: some of the readings fall into the same minute."""
+
+    def a_minute_later(values):
+        late = read_every(30)(np.roll(values, -1))
+        same = np.arange(len(values)) < 600
+        return np.where(same, read_every(30)(values), np.roll(late, 1))
+
+    log = changed(changed(long_log, "x_um", read_every(30)), "z_um", a_minute_later)
+    model = learn([log], AXES, 4)
+    assert [channel.name for channel in model.channels] == AXES
+    for row in judge("day", Learned(model), DAY):
+        assert row["rms_error_um"] < 0.1 * row["rms_uncompensated_um"]
+
+
 @pytest.mark.parametrize(
     "minutes", [*(pytest.param(often, marks=pytest.mark.long) for often in (15, 30)), 60]
 )
