@@ -67,17 +67,17 @@ def runs_of(log: Log, case: Case, displacement: Sequence[str]) -> dict[str, xr.D
     places = {name: log.at(f"{name}_pos_mm") for name in case.axes}
     ways = {name: log.at(f"{name}_way_mm") for name, axis in case.axes.items() if axis.odometer}
     room = _temperatures(log, ["ambient"]).get("ambient")
-    every = [
-        *moved.values(),
-        *sensed.values(),
-        *surfaces.values(),
-        power,
-        *loads.values(),
-        *places.values(),
-        *ways.values(),
-        *([] if room is None else [room]),
+    needed = [
+        *zip(displacement, moved.values(), strict=True),
+        *(sensed | surfaces).items(),
+        ("heat", power),
+        *loads.items(),
+        *((f"position of {name}", read) for name, read in places.items()),
+        *((f"way of {name}", read) for name, read in ways.items()),
+        *([] if room is None else [("ambient", room)]),
     ]
-    whole = np.asarray(np.isfinite(np.column_stack(every)).all(axis=1))
+    there = np.array([np.isfinite(read) for _, read in needed])
+    whole = np.asarray(there.all(axis=0))
     ends = (*log.starts[1:], len(log.times))
     heat = power / sum(source_power(source) for source in case.sources.values())
     runs = {}
@@ -85,8 +85,10 @@ def runs_of(log: Log, case: Case, displacement: Sequence[str]) -> dict[str, xr.D
         where, kept = f"run {number}", np.flatnonzero(whole[first:end]) + first
         count = end - first
         if len(kept) < max(2, (1.0 - MOST_MISSING) * count):
+            worst, _ = needed[int(np.argmin(there[:, first:end].sum(axis=1)))]
             raise InputError(
-                f"{where}: {count - len(kept)} of {count} samples lack a reading; correct the log"
+                f"{where}: {count - len(kept)} of {count} samples lack a reading, most often of "
+                f"{worst}; give rows with all readings, at whatever interval"
             )
         # A held surface may begin at any temperature.
         begin = np.array([read[kept[0]] for read in sensed.values()])

@@ -80,6 +80,15 @@ def test_misread_samples_are_left_out_with_a_warning(case, response, tmp_path):
     )
 
 
+def test_a_displacement_that_is_rarely_read_is_refused_by_its_name(case, response, tmp_path):
+    path = log_of(response, tmp_path / "log.csv")
+    header, *rows = path.read_text("utf-8").splitlines()
+    rows = [row if k % 5 == 0 else row[: row.rindex(",") + 1] for k, row in enumerate(rows)]
+    path.write_text("\n".join([header, *rows]), encoding="utf-8")
+    with pytest.raises(InputError, match="samples lack a reading, most often of y_um; give rows"):
+        runs_of(read_log([path]), case_from_data(case, "case", Path()), ["x_um", "y_um"])
+
+
 def test_a_thermometer_that_is_elsewhere_in_the_case_is_said(case, response):
     name = SENSORS[0]
     moved = copy.deepcopy(case)
