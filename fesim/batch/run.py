@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING
@@ -190,6 +190,36 @@ class _Keeper:
         return table
 
 
+@dataclass
+class _Losses:
+    """Workers that were lost with a case, and whether any has come back with one."""
+
+    cases: Counter[str] = field(default_factory=Counter)
+    returned: bool = False
+
+    def outcome_of(self, report: Report, members: int) -> Outcome | None:
+        """Return the outcome of a report, or None if its worker is lost and the case starts again.
+
+        Raises
+        ------
+        InputError
+            One worker after the other is lost and none has come back; `members` are at work.
+        """
+        if report.outcome is not None:
+            self.returned = True
+            return report.outcome
+        case = report.task.id
+        self.cases[case] += 1
+        if not self.returned and self.cases.total() >= MOST_LOSSES * (1 + members):
+            raise InputError(
+                f"batch: {self.cases.total()} workers are lost ({report.detail}) and none has come "
+                "back with a case; simulate one of the cases alone to see why"
+            )
+        if self.cases[case] < MOST_LOSSES:
+            return None
+        return Outcome(case, "broken", f"lost {MOST_LOSSES} workers: {report.detail}")
+
+
 def _work_off(
     left: list[StudyCase],
     crew: Crew,
@@ -203,9 +233,7 @@ def _work_off(
         Task(case.id, case.key, case.case.model_dump_json(), keeper.study.keep) for case in left
     )
     working: dict[str, Task] = {}
-    losses: Counter[str] = Counter()
-    warned: set[str] = set()
-    returned: set[str] = set()
+    losses, warned = _Losses(), set[str]()
     kept = len(keeper.records)
     counts = Counter(str(record["status"]) for record in keeper.records.values())
 
@@ -227,22 +255,13 @@ def _work_off(
 
     def settle(report: Report) -> None:
         case, worker = report.task.id, report.worker
-        outcome = report.outcome
-        if outcome is None:
-            losses[case] += 1
+        if report.outcome is None:
             on_disk.note(keeper.folder, "lost", case, worker, report.detail)
-            if not returned and losses.total() >= MOST_LOSSES * (1 + len(crew.members())):
-                raise InputError(
-                    f"batch: {losses.total()} workers are lost ({report.detail}) and none has come "
-                    "back with a case; simulate one of the cases alone to see why"
-                )
-            if losses[case] < MOST_LOSSES:
-                tell(cases[case], f"{worker} is lost ({report.detail}); the case starts again")
-                queue.give_back(report.task)
-                return
-            outcome = Outcome(case, "broken", f"lost {MOST_LOSSES} workers: {report.detail}")
-        else:
-            returned.add(worker)
+        outcome = losses.outcome_of(report, len(crew.members()))
+        if outcome is None:
+            tell(cases[case], f"{worker} is lost ({report.detail}); the case starts again")
+            queue.give_back(report.task)
+            return
         keeper.keep(outcome)
         counts[outcome.status] += 1
         on_disk.note(keeper.folder, outcome.status, case, worker, outcome.reason)
@@ -250,7 +269,7 @@ def _work_off(
             tell(cases[case], outcome.reason)
         for line in set(outcome.warnings) - warned:
             tell(cases[case], f"warning: {line}")
-            warned.add(line)
+        warned.update(outcome.warnings)
 
     show(hand_out())
     while working or (len(queue) and not stopped()):
