@@ -13,6 +13,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from skfem import Mesh
+from skfem.quadrature import get_quadrature
 
 from meshes.pairing import facet_corners, outward_areas, pair_joint
 from meshes.quality import cell_quality, cell_volumes
@@ -55,7 +56,7 @@ class SurfaceFacts:
 class JointFacts:
     """A joint."""
 
-    #: Areas of the sides and of their common part, m2.
+    #: Areas of the sides and of their common part, m2; facets of a joint count as planes.
     area_a: float
     area_b: float
     overlap: float
@@ -121,7 +122,7 @@ def inspect(structure: Structure, riding: Collection[str] = ()) -> Inspection:
     sides = [structure.surfaces[side] for pair in structure.joints.values() for side in pair]
     bodies = _bodies(structure)
     extent = _triple(np.ptp(mesh.p, axis=1))
-    bare_area = area_of(structure, unnamed)
+    bare_area = float(_curved_areas(mesh, unnamed)[0].sum())
     return Inspection(
         kind=_kind(structure),
         nodes=int(mesh.p.shape[1]),
@@ -169,10 +170,26 @@ def _triple(values: Array) -> tuple[float, float, float]:
 
 
 def area_of(structure: Structure, facets: NDArray[np.int64]) -> float:
-    """Area of some facets, m2."""
+    """Area of some facets as planes, like those of a joint, m2."""
     if not facets.size:
         return 0.0
     return float(np.linalg.norm(outward_areas(structure.mesh, facets), axis=1).sum())
+
+
+def _curved_areas(mesh: Mesh, facets: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Areas (n,) and outward area vectors (n, 3) of boundary facets, curvature included, m2."""
+    plane = outward_areas(mesh, facets)
+    if mesh.p.shape[1] == mesh.nvertices:
+        return np.linalg.norm(plane, axis=1), plane
+    maps = mesh.mapping()
+    points, weights = get_quadrature(maps.bndelem.refdom, 6)
+    along, across = (
+        np.array([maps.bndJ(i, j, points, facets) for i in range(3)]) for j in range(2)
+    )
+    vectors = np.cross(along, across, axis=0)
+    whole = np.einsum("ifq,q->fi", vectors, weights)
+    outward = np.sign(np.einsum("fi,fi->f", whole, plane))
+    return np.linalg.norm(vectors, axis=0) @ weights, whole * outward[:, None]
 
 
 def _bodies(structure: Structure) -> dict[str, BodyFacts]:
@@ -205,8 +222,8 @@ def pieces(corners: NDArray[np.int64]) -> NDArray[np.int64]:
 
 def _surface(structure: Structure, name: str) -> SurfaceFacts:
     facets = structure.surfaces[name]
-    vectors = outward_areas(structure.mesh, facets)
-    area = float(np.linalg.norm(vectors, axis=1).sum())
+    areas, vectors = _curved_areas(structure.mesh, facets)
+    area = float(areas.sum())
     owners = structure.mesh.f2t[0, facets]
     bodies = tuple(n for n, cells in structure.bodies.items() if np.isin(owners, cells).any())
     return SurfaceFacts(len(facets), area, _triple(vectors.sum(axis=0) / area), bodies)

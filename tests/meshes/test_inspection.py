@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from bars import AREA, DEPTH, LEFT, RIGHT, WIDTH, shifted, two_bars
 from rich.console import Console
-from skfem import MeshHex, MeshTet
+from skfem import MeshHex, MeshHex2, MeshTet, MeshTet2
 
 from fesim.case.schema import case_from_data
 from fesim.setup.parts import check_names
@@ -56,6 +56,26 @@ def test_volumes_areas_and_joints_are_measured(tetrahedra):
     assert found.warnings == ()
     # The front is the only side of the bars without a name.
     assert found.unnamed_area == pytest.approx((LEFT + RIGHT) * WIDTH)
+
+
+@pytest.mark.parametrize("second_order", [MeshHex2, MeshTet2])
+def test_the_area_of_curved_cells_is_that_of_the_curved_face(second_order):
+    first_order = MeshHex if second_order is MeshHex2 else MeshTet
+    straight = first_order.init_tensor(*(np.linspace(0.0, 1.0, n + 1) for n in (1, 3, 1)))
+    facets = straight.boundary_facets()
+    outside = facets[straight.p[0, straight.facets[:, facets]].min(axis=0) > 1.0 - 1e-9]
+    fine = second_order.from_mesh(straight)
+    radius, angle = 0.05 + 0.05 * fine.doflocs[0], 0.5 * np.pi * fine.doflocs[1]
+    bent = np.array([radius * np.cos(angle), radius * np.sin(angle), 0.03 * fine.doflocs[2]])
+    mesh = second_order(bent, fine.t)
+    ring = Structure(mesh, {"ring": np.arange(mesh.nelements)}, {"outside": outside})
+    found = inspect(ring)
+    # A quarter of a cylinder; straight facets have 1.1 % less.
+    assert found.surfaces["outside"].area == pytest.approx(0.5 * np.pi * 0.1 * 0.03, rel=2e-4)
+    assert found.surfaces["outside"].normal == pytest.approx((2 / np.pi, 2 / np.pi, 0), rel=2e-4)
+    whole = 0.5 * np.pi * (0.15 * 0.03 + 0.1**2 - 0.05**2) + 2.0 * 0.05 * 0.03
+    outer = found.surfaces["outside"].area
+    assert found.unnamed_area + outer == pytest.approx(whole, rel=2e-4)
 
 
 @pytest.mark.parametrize("twist", [False, True])
