@@ -277,7 +277,8 @@ def _moving_points(parts: Parts, axis: AxisSection, names: Sequence[str]) -> NDA
         return np.zeros(0, dtype=bool)
     moving = np.concatenate([parts.structure.bodies[name] for name in axis.bodies])
     probes = {name: parts.structure.probes[name] for name in names}
-    return np.isin(probe_cells(parts.structure, probes), moving)
+    moves = dict(zip(probes, np.isin(probe_cells(parts.structure, probes), moving), strict=True))
+    return np.array([moves[name] for name in names])
 
 
 def _moving(whole: Discretised, keys: CacheKeys) -> tuple[MovingMachine, ThermalModes]:

@@ -128,9 +128,11 @@ def displacement_rows(case: Case, structure: Structure, spaces: Spaces) -> csr_a
 
     For a rotation w of the point, the tip of a rigid tool at r from it moves by w x r in addition.
     """
-    points = {name: structure.probes[name] for name in measured_points(case)}
-    rows = probe_rows(spaces.displacement, structure, points)
-    relative = rows[[0]] - rows[[1]] if len(points) == 2 else rows
+    point, *origin = (
+        probe_rows(spaces.displacement, structure, {name: structure.probes[name]})
+        for name in measured_points(case)
+    )
+    relative = point - origin[0] if origin else point
     moved = kron(relative, np.eye(len(DIRECTIONS)), format="csr")
     section = case.displacement
     if section is None or section.tool_mm is None or section.tool_within_mm is None:

@@ -68,6 +68,18 @@ def test_a_tool_is_a_lever_where_the_axis_stands_and_elsewhere():
     assert "tip, (30, -120, 50) mm from B," in tipped.attrs["displacement_of"]
 
 
+def test_from_the_point_itself_only_the_turning_moves_the_tip_of_a_tool():
+    first = {"point": "B", "relative_to": "B"}
+    own, tipped = (simulate(knee(**one), accuracy=False).response for one in (first, first | TOOL))
+    assert not own["displacement"].values.any()
+    assert not own["asked_displacement"].values.any()
+    bare = simulate(knee(), accuracy=False).response
+    turned = np.cross(bare["rotation"], 1e-3 * np.array(TOOL["tool_mm"]))
+    size = np.abs(turned).max()
+    # The bases of the two differ.
+    np.testing.assert_allclose(tipped["displacement"], turned, rtol=0.0, atol=1e-4 * size)
+
+
 def test_a_tool_without_its_place_or_the_nodes_that_turn_is_refused(machine):
     with pytest.raises(InputError, match="tool_within_mm"):
         knee(tool_mm=[0.0, 0.0, 1.0])
