@@ -206,6 +206,13 @@ class OutputSection(Section):
     forces: bool = False
     stress_probes: list[str] = []
 
+    @model_validator(mode="after")
+    def _each_stress_once(self) -> OutputSection:
+        for name in self.stress_probes:
+            if self.stress_probes.count(name) > 1:
+                raise ValueError(f"stress_probes: {name!r} is named twice")
+        return self
+
 
 class Case(Described, Section):
     """A whole case file."""

@@ -283,6 +283,7 @@ def test_constants_of_eq_11_come_with_their_law_and_both(conductance):
         (("joints", "knee", "preload_MPa"), 0.5 * 1961.0, "below half of the hardness"),
         (("joints", "knee", "side_a"), "knee.a", "both side_a and side_b"),
         (("march", "duration_min"), 0.01, "shorter than one step"),
+        (("output",), {"stress_probes": ["a", "a"]}, "stress_probes: 'a' is named twice"),
     ],
 )
 def test_values_that_do_not_go_together_are_refused(place, value, told):
