@@ -12,6 +12,8 @@ from thermojoint.artefacts.units import MILLI
 
 #: Smallest over largest moment of inertia below which nodes are on a line and miss a rotation.
 ON_A_LINE = 1e-6
+#: Nodes farther than the radius by this fraction of it are at the radius, but for rounding.
+ROUNDING = 1e-9
 
 
 def rotation_rows(structure: Structure, spaces: Spaces, name: str, radius: float) -> csr_array:
@@ -39,7 +41,8 @@ def rotation_rows(structure: Structure, spaces: Spaces, name: str, radius: float
     probe = structure.probes[name]
     at, basis = np.array(probe.position), spaces.displacement
     nodes = np.unique(basis.element_dofs[:, _own_cells(structure, probe)])
-    near = nodes[np.linalg.norm(basis.doflocs[:, nodes].T - at, axis=1) <= radius]
+    reach = (1.0 + ROUNDING) * radius
+    near = nodes[np.linalg.norm(basis.doflocs[:, nodes].T - at, axis=1) <= reach]
     arms = basis.doflocs[:, near].T - basis.doflocs[:, near].mean(axis=1)
     inertia = (arms**2).sum() * np.eye(3) - arms.T @ arms
     sizes = np.linalg.eigvalsh(inertia)

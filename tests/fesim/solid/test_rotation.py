@@ -1,9 +1,11 @@
 """How a body turns at a point, and the tip of a tool that turns with it."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from bars import shifted, two_bars
 from hypothesis import given
 from hypothesis import strategies as st
 from moving_knee import coarse_data
@@ -14,6 +16,7 @@ from fesim.simulate import simulate
 from fesim.solid.rotation import rotation_rows
 from fesim.solid.spaces import make_spaces
 from meshes.milling_machine import box_milling_machine
+from meshes.structure import Probe
 from thermojoint.artefacts.errors import InputError
 
 VECTORS = st.tuples(*[st.floats(-1.0, 1.0)] * 3)
@@ -44,6 +47,17 @@ def test_the_rotation_of_a_rigid_motion_is_its_own(machine, turn, shift):
     structure, spaces = machine
     rows = rotation_rows(structure, spaces, "B", 0.15)
     assert rows @ rigid(spaces, turn, shift) == pytest.approx(np.array(turn), abs=1e-9)
+
+
+@pytest.mark.parametrize("shift", [(0.1, 0.7, 0.3), (-0.3, 0.1, 1.1), (2.3, -0.6, 0.9)])
+def test_nodes_at_the_radius_turn_the_point_wherever_the_machine_is(shift):
+    bars = two_bars()
+    end = bars.probes["end"].position  # in a node; others are at 20 mm from it
+    whole = rotation_rows(bars, make_spaces(bars.mesh), "end", 0.02)
+    place = tuple(x + dx for x, dx in zip(end, shift, strict=True))
+    moved = replace(shifted(bars, list(bars.bodies), shift), probes={"end": Probe(place, "right")})
+    again = rotation_rows(moved, make_spaces(moved.mesh), "end", 0.02)
+    np.testing.assert_allclose(again.toarray(), whole.toarray(), atol=1e-9)
 
 
 @given(turn=VECTORS, shift=VECTORS)
