@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 from skfem import FacetBasis
 
 from fesim.case.bolts import BoltEndSection, BoltSection
 from fesim.case.history import History, read_history, step_history
 from fesim.case.schema import Case
 from fesim.solid.bolts import Bolt, Patch
+from fesim.solid.elasticity import DIRECTIONS
 from fesim.solid.spaces import cells_at, make_spaces
 from meshes.structure import Structure
 from thermojoint.artefacts.arrays import Array
@@ -69,21 +71,56 @@ def _bolt(case: Case, structure: Structure, name: str, section: BoltSection) -> 
     material = case.materials[section.material]
     anchors = [_anchor(structure, e, f"{where}.{n}") for n, e in _ends(section)]
     size = float(np.linalg.norm(np.ptp(structure.mesh.p, axis=1)))
-    distance = float(np.linalg.norm(anchors[0] - anchors[1]))
+    mirrored = _mirrored(case, structure, section, APART * size)
+    between = np.where(mirrored, 0.0, anchors[0] - anchors[1])
+    distance = float(np.linalg.norm(between))
     if distance < APART * size:
         raise InputError(
             f"{where}: head and thread coincide, around {shown_point(anchors[0])} m; move "
             "one of them"
         )
-    axis = (anchors[0] - anchors[1]) / distance
-    head, thread = (_patch(structure, e, axis, f"{where}.{n}") for n, e in _ends(section))
+    head, thread = (
+        _patch(structure, e, between / distance, f"{where}.{n}") for n, e in _ends(section)
+    )
+    along = np.where(mirrored, 0.0, head.centre - thread.centre)
     length = 1e-3 * (section.clamped_length_mm or 1e3 * distance)
     if section.diameter_mm is not None:
         area = 0.25 * np.pi * (1e-3 * section.diameter_mm) ** 2
         stiffness = 1e9 * material.youngs_modulus_GPa * area / length
     else:
         stiffness = MEGA * (section.stiffness_N_um or 0.0)
-    return Bolt(head, thread, float(stiffness), material.expansion_1_K * length)
+    growth = material.expansion_1_K * length
+    return Bolt(head, thread, along / np.linalg.norm(along), float(stiffness), growth)
+
+
+def _mirrored(
+    case: Case, structure: Structure, section: BoltSection, near: float
+) -> NDArray[np.bool_]:
+    """Directions (3,) across the symmetry planes that both ends of a bolt reach, within `near`, m.
+
+    The other half of such a bolt is in the mirror image: together they pull along the plane, while
+    the centres of unequal halves differ across it.
+    """
+    mesh, mirrored = structure.mesh, np.zeros(len(DIRECTIONS), dtype=bool)
+    if structure.symmetry_factor == 1:
+        return mirrored
+    for surface, direction in case.supports.symmetry.items():
+        across = DIRECTIONS.index(direction)
+        plane = mesh.p[across, mesh.facets[:, structure.surface(surface, "supports")]]
+        away = [
+            np.abs(_reach(structure, end, f"bolts.{name}")[across] - plane.mean()).min()
+            for name, end in _ends(section)
+        ]
+        mirrored[across] |= np.ptp(plane) <= near and max(away) <= near
+    return mirrored
+
+
+def _reach(structure: Structure, end: BoltEndSection, where: str) -> Array:
+    """Middle of a disc, or nodes of a surface, shape (3, n), m."""
+    if end.position_mm is not None:
+        return 1e-3 * np.array(end.position_mm)[:, None]
+    facets = structure.surface(end.surface or "", f"{where}.surface")
+    return np.asarray(structure.mesh.p[:, structure.mesh.facets[:, facets].ravel()])
 
 
 def _ends(section: BoltSection) -> tuple[tuple[str, BoltEndSection], ...]:

@@ -52,16 +52,12 @@ class Bolt:
     #: Its ends.
     head: Patch
     thread: Patch
+    #: Unit vector from thread to head, shape (3,).
+    axis: Array
     #: k_b, N/m.
     stiffness: float
     #: alpha L: free elongation per K of its mean temperature, m/K.
     growth: float
-
-    @property
-    def axis(self) -> Array:
-        """Unit vector from thread to head, shape (3,)."""
-        along = self.head.centre - self.thread.centre
-        return np.asarray(along / np.linalg.norm(along))
 
 
 @dataclass(frozen=True)

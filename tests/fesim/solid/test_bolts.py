@@ -4,6 +4,7 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
+from boxes import boxes
 from scipy.sparse import diags_array
 
 from fesim.batch.summary import figures_of
@@ -18,6 +19,7 @@ from fesim.simulate import simulate
 from fesim.solid.elasticity import elastic_operators
 from fesim.solid.spaces import cells_around
 from fesim.solid.stress import stress_at, stress_rows, stress_tensors
+from meshes.exchange import write_structure
 from thermojoint.artefacts.errors import ConvergenceError, InputError
 from thermojoint.verification.bolted import COLUMN, FORCE, STIFFNESS, bolted
 from thermojoint.verification.loaded import AREA, WEIGHT, column_case, joint
@@ -268,6 +270,48 @@ def test_a_summary_has_the_range_of_the_bolt_forces(marched):
     figures = figures_of(response)
     assert figures["bolt_force_min_N"] == response["bolt_force"].min().item()
     assert figures["bolt_force_max_N"] == response["bolt_force"].max().item()
+
+
+CUT = {
+    "discs": {
+        "head": {"position_mm": [25.0, 0.0, 80.0], "diameter_mm": 24.0, "body": "upper"},
+        "thread": {"position_mm": [25.0, 0.0, 10.0], "diameter_mm": 8.0, "body": "lower"},
+    },
+    "surfaces": {"head": {"surface": "upper.z1"}, "thread": {"surface": "lower.z0"}},
+}
+
+
+@pytest.mark.parametrize("ends", CUT.values(), ids=CUT)
+def test_a_bolt_cut_by_a_symmetry_plane_is_half_of_the_whole_one(ends, tmp_path):
+    """Also if its ends are of unlike size, so that the middles of their halves are, too."""
+    responses = []
+    for copies in (1, 2):
+        back = {"lower": -0.03, "upper": -0.02} if copies == 1 else {"lower": 0.0, "upper": 0.0}
+        count = 4 // copies
+        structure = boxes(
+            {"joint": ("upper.z0", "lower.z1")},
+            lower=((0.0, back["lower"], 0.0), (0.06, 0.03, 0.04), (2, count, 2)),
+            upper=((0.0, back["upper"], 0.04), (0.06, 0.02, 0.08), (2, count, 2)),
+        )
+        write_structure(structure, tmp_path / f"{copies}.vtu")
+        data = column_case(tmp_path, True, {"joints": {"joint": TOUCHING | {"across": count}}})
+        data["structure"] |= {"file": f"{copies}.vtu", "symmetry_factor": copies}
+        data["supports"] = {"springs": {"lower.z0": {"stiffness_N_um": [100.0, 100.0, 500.0]}}}
+        if copies == 2:
+            data["supports"]["symmetry"] = {"lower.y0": "y", "upper.y0": "y"}
+        shares = {"force_kN": 20.0 / copies, "stiffness_N_um": 300.0 / copies}
+        data["bolts"] = {"b": ends | shares | {"material": "iron"}}
+        data["sources"] = {"s": {"surface": "upper.x1", "reference_power_W": 200.0}}
+        data["heat_input"] = {"kind": "step", "level": 1.0}
+        data["probes"] = {"top": {"position_mm": [60.0, 0.0, 80.0], "body": "upper"}}
+        case = case_from_data(data, "halves", tmp_path)
+        responses.append(simulate(case, accuracy=False).response)
+    whole, half = responses
+    np.testing.assert_allclose(2.0 * half["bolt_force"], whole["bolt_force"], rtol=1e-6)
+    moved = np.abs(whole["displacement"]).max()
+    np.testing.assert_allclose(half["displacement"], whole["displacement"], atol=1e-6 * moved)
+    pressed = np.sort(whole["pressure"])[:, ::2]
+    np.testing.assert_allclose(np.sort(half["pressure"]), pressed, rtol=1e-6)
 
 
 WRONG = {
