@@ -143,7 +143,7 @@ def heat_text(response: xr.Dataset) -> str:
     text = f"heat input {'' if steady else 'up to '}{heat[at]:g}"
     if "source_power" not in response or not response["source_power"].size:
         return text
-    return f"{text} ({float(response['source_power'][at].sum()):.0f} W)"
+    return f"{text} ({float(response['source_power'][at].sum()):.4g} W)"
 
 
 #: Factor from SI and label of a panel: Figures 8 and 10 for each sensor, 9 and 11 for each axis.
@@ -217,9 +217,9 @@ def estimates_figure(
 
 
 def response_figure(response: xr.Dataset) -> Figure:
-    """Overview of one response: heat input, temperatures of eight probes, displacements."""
-    times = response["time"].to_numpy()
-    figure, axes = _figure(3)
+    """Overview of one response: heat input, temperatures of eight probes, displacements if any."""
+    times, names = response["time"].to_numpy(), [str(name) for name in response["axis"].to_numpy()]
+    figure, axes = _figure(3 if names else 2)
     figure.suptitle(heat_text(response), fontsize=10)
     _draw(axes[0], times, {"heat input": response["heat_input"].to_numpy()}, 1.0)
     axes[0].set_ylabel("heat input (reference = 1)")
@@ -227,10 +227,10 @@ def response_figure(response: xr.Dataset) -> Figure:
     temperature = response["temperature"].to_numpy()
     _draw(axes[1], times, {name: temperature[:, k] for k, name in enumerate(probes)}, 1.0)
     axes[1].set_ylabel("temperature above the initial ambient (K)")
-    names = [str(name) for name in response["axis"].to_numpy()]
-    displacement = response["displacement"].to_numpy()
-    _draw(axes[2], times, {name: displacement[:, k] for k, name in enumerate(names)}, 1e6)
-    axes[2].set_ylabel("displacement (µm)")
+    if names:
+        displacement = response["displacement"].to_numpy()
+        _draw(axes[2], times, {name: displacement[:, k] for k, name in enumerate(names)}, 1e6)
+        axes[2].set_ylabel("displacement (µm)")
     _finish(axes)
     return figure
 

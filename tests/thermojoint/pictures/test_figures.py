@@ -353,5 +353,14 @@ def test_every_figure_says_its_heat_input(coarse_response):
     assert heat_text(measured) == "heat input 1"
     ramp = measured.assign(heat_input=measured["time"] / 30.0)
     assert heat_text(ramp) == "heat input up to 2"
+    weak = coarse_response.assign(source_power=0.001 * coarse_response["source_power"])
+    assert heat_text(weak) == "heat input 1 (0.59 W)"
     for figure in (response_figure(coarse_response), pressure_figure(coarse_response)):
         assert "heat input 1 (590 W)" in figure.get_suptitle()
+
+
+def test_heat_alone_has_no_panel_of_displacements(coarse_response, recwarn):
+    heat = coarse_response.isel(axis=slice(0))
+    labels = [panel.get_ylabel() for panel in response_figure(heat).axes]
+    assert labels == ["heat input (reference = 1)", "temperature above the initial ambient (K)"]
+    assert not recwarn.list
