@@ -62,7 +62,8 @@ def volume_mesh(raw: meshio.Mesh, path: Path) -> tuple[Mesh, NDArray[np.int64]]:
     if len(types) != 1 or types[0] not in _VOLUMES:
         present = " and ".join(types) or "no volume"
         raise InputError(
-            f"{path}: {present} cells; mesh all bodies with hexahedra or all with tetrahedra"
+            f"{path}: {present} cells; mesh all bodies with hexahedra or all with tetrahedra, of "
+            "one order"
         )
     straight, corners, between = _VOLUMES[types[0]]
     cells = np.concatenate([block.data for block in blocks]).astype(np.int64)

@@ -341,6 +341,11 @@ def test_cells_of_several_types_are_refused(tmp_path):
     grid.cells = [meshio.CellBlock("wedge", grid.cells[0].data[:1, [0, 1, 3, 4, 5, 7]])]
     grid.cell_data = {}
     refused(write_grid(labelled(grid), tmp_path / "wedges.vtu"), "wedge cells")
+    grid.cells = [
+        meshio.CellBlock("tetra", np.array([[0, 1, 3, 4]])),
+        meshio.CellBlock("tetra10", np.array([[0, 1, 3, 4, 5, 6, 7, 8, 9, 10]])),
+    ]
+    refused(write_grid(labelled(grid), tmp_path / "orders.vtu"), "tetra and tetra10 .*one order")
 
 
 def test_a_mesh_in_millimetres_is_refused(tmp_path):
