@@ -322,6 +322,7 @@ def _joint_sides(
         if set(given[name]) == set(given[second]):
             raise InputError(f"joints.{second}: the same bodies as joints.{name}; give one name")
     names = {pair: name for name, pair in given.items()}
+    bodies_of: dict[str, tuple[str, str]] = {}
     for pair in combinations(bodies, 2):
         first, other = pair if pair in names else pair[::-1] if pair[::-1] in names else pair
         name = names.pop((first, other), f"{first}_{other}")
@@ -331,6 +332,12 @@ def _joint_sides(
         if not shared and name in given:
             raise InputError(f"joints.{name}: {first} and {other} do not touch; remove it")
         if shared:
+            if name in bodies_of:
+                raise InputError(
+                    f"joints.{name}: {' and '.join(bodies_of[name])} have a joint of that name, "
+                    f"{first} and {other}, too; give one of them another in [joints]"
+                )
+            bodies_of[name] = first, other
             patches[first][f"{name}.a"] = shared
             patches[other][f"{name}.b"] = occ.copy(shared)
     if names:

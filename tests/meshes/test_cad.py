@@ -175,6 +175,10 @@ def test_a_point_on_no_face_is_refused_with_the_distance(step, tmp_path):
             Names(joints={"one": ("bed", "head_stock"), "two": ("head_stock", "bed")}),
             r"joints\.two: the same bodies as joints\.one",
         ),
+        (
+            Names(joints={"bed_pin": ("head_stock", "bed")}),
+            r"joints\.bed_pin: head_stock and bed have a joint of that name, bed and pin, too",
+        ),
     ],
 )
 def test_two_parts_of_one_name_are_refused(step, tmp_path, names, message):
@@ -182,6 +186,21 @@ def test_two_parts_of_one_name_are_refused(step, tmp_path, names, message):
     with pytest.raises(InputError, match=message):
         mesh_cad(step, tmp_path / "part.msh", 0.02, names=names)
     assert list(tmp_path.iterdir()) == []
+
+
+@needs_gmsh
+def test_names_of_bodies_that_join_to_one_name_are_refused(tmp_path):
+    """Of two joints of one name the first would be lost: nothing would pass there."""
+    boxes = {"bed": (0, 0), "rail_pad": (0, 10), "bed_rail": (60, 0), "pad": (60, 10)}
+    solids = [(name, "addBox", x, 0, z, 40, 40, 10) for name, (x, z) in boxes.items()]
+    write_step(tmp_path / "part.step", solids)
+    with pytest.raises(InputError, match=r"^joints\.bed_rail_pad: bed and rail_pad have a joint"):
+        mesh_cad(tmp_path / "part.step", tmp_path / "part.msh", 0.02)
+    named = Names(joints={"pads": ("bed_rail", "pad")})
+    assert set(found_in(tmp_path / "part.step", tmp_path, names=named).joints) == {
+        "bed_rail_pad",
+        "pads",
+    }
 
 
 @needs_gmsh
