@@ -23,6 +23,7 @@ from estimator.registry import kind_of
 from estimator.rows import figures_of
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError, unknown_name
+from thermojoint.artefacts.held_readings import without_repeats
 from thermojoint.artefacts.log import Log, joined
 from thermojoint.artefacts.log_file import read_log
 from thermojoint.artefacts.quantities import place_of
@@ -50,7 +51,7 @@ def log_from_frame(frame: pd.DataFrame, renamed: Mapping[str, str] | None = None
     InputError
         As `read_log`.
     """
-    return joined(pieces_in(_lines(frame), _FRAME, renamed))
+    return joined(without_repeats(pieces_in(_lines(frame), _FRAME, renamed)))
 
 
 def learn(

@@ -281,15 +281,17 @@ def _check_displacement(table: Table, k: int, changing: Flags, rules: Cleaning) 
         raise InputError(f"{column.name}: constant within {MEGA * size:.2g} um; nothing to learn")
     changed = _changes_before(table, there, changing, rules)
     side, steps = rules.side, np.where(changed, 0.0, np.diff(seen, prepend=seen[0]))
-    usual = float(np.median(np.abs(steps)))
+    # The machine moves between readings that are further apart than the rows.
+    apart = float(np.median(np.diff(table.times[there])))
+    jump = rules.jump * max(1.0, apart / max(table.interval, rules.pace))
+    far = max(jump * size, rules.usual * float(np.median(np.abs(steps))))
     for row in np.argsort(-np.abs(steps))[: rules.candidates]:
         before, after = seen[max(0, row - side) : row], seen[row : row + side]
         lasting = abs(float(np.median(after) - np.median(before))) if len(before) else 0.0
-        far = max(rules.jump * size, rules.usual * usual)
         if abs(steps[row]) > far and lasting > rules.lasting * abs(steps[row]):
-            hours, jump = (table.times[there][row] - table.times[0]) / 3600.0, MEGA * steps[row]
+            hours = (table.times[there][row] - table.times[0]) / 3600.0
             raise InputError(
-                f"{column.name}: jumps by {jump:.1f} um {hours:.1f} h after the "
+                f"{column.name}: jumps by {MEGA * steps[row]:.1f} um {hours:.1f} h after the "
                 "start, as if the probe had lost its zero; split the log there, into files whose "
                 "times restart"
             )

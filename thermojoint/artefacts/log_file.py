@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.held_readings import without_repeats
 from thermojoint.artefacts.log import Log, joined
 from thermojoint.artefacts.log_sequence import HEAD, common_order, following, shared, telling
 from thermojoint.artefacts.quantities import UNITS, column_named
@@ -76,8 +77,13 @@ def log_pieces(paths: Sequence[Path], renamed: Mapping[str, str] | None = None) 
     """Yield the samples of files in pieces of at most `ROWS`; see `read_log`.
 
     Files with the same content are read once. A change of summer time in a file also holds in the
-    later ones.
+    later ones. A displacement that is only repeated is missing
+    (`thermojoint.artefacts.held_readings`).
     """
+    return without_repeats(_pieces(paths, renamed))
+
+
+def _pieces(paths: Sequence[Path], renamed: Mapping[str, str] | None) -> Iterator[Log]:
     before: Log | None = None
     files = _in_order(paths, renamed)
     for file in files:

@@ -275,7 +275,13 @@ class LearnedModel(Described):
         return _inputs_of(self.features, self.columns)
 
     def signals(self, values: Array) -> Array:
-        """Return the signal of each feature, shape (..., n), of values (..., columns) in SI."""
+        """Return the signal of each feature, shape (..., n).
+
+        Parameters
+        ----------
+        values : ndarray, shape (..., columns)
+            SI.
+        """
         return _signals(self._inputs, values)
 
     @cached_property
