@@ -87,6 +87,16 @@ def test_the_screw_makes_the_far_target_move_further(z_axis):
     assert not [symbol for symbol in found if symbol.startswith("d(x")]
 
 
+def test_an_axis_that_is_back_at_every_sample_is_read_at_its_two_targets(z_axis):
+    cycles = z_axis.copy(deep=True)
+    cycles["axis_position"][:] = z_axis["axis_position"][0]
+    found, told = response_record(cycles), response_record(z_axis)
+    assert list(found.displacements) == list(told.displacements)
+    frictionless = cycles.assign(running_heat=0.0 * cycles["running_heat"])
+    period = evaluate(Protocol.LINEAR_AXIS, response_record(frictionless)).period
+    assert period == pytest.approx((0.0, 4350.0))
+
+
 @pytest.mark.long
 def test_a_knee_that_warms_by_moving_is_read_at_its_two_targets():
     response = simulated("iso230_3_linear_axis")
@@ -120,7 +130,7 @@ def test_a_rotary_table_grows_and_tilts_in_its_plane_of_symmetry():
 
 def test_several_axes_that_move_are_refused_in_one_line(command, z_axis, tmp_path):
     moved = z_axis.copy(deep=True)
-    moved["axis_position"][:, 1] = 1e-3 * np.arange(moved.sizes["time"])
+    moved["axis_way"][:, 1] = 1e-3 * np.arange(moved.sizes["time"])
     with pytest.raises(InputError, match="z, x move; a test moves one axis"):
         response_record(moved)
     path = tmp_path / "moved.nc"

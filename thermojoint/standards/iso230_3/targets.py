@@ -40,7 +40,8 @@ def read_at(response: xr.Dataset) -> list[Reading]:
     here = [Reading("", response["displacement"].to_numpy().astype(float), rotation)]
     if "axis_position" not in response:
         return here
-    moving = np.flatnonzero(np.ptp(response["axis_position"].to_numpy(), axis=0))
+    # A whole cycle within every step leaves the position at its samples where it was.
+    moving = np.flatnonzero(np.ptp(response["axis_way"].to_numpy(), axis=0))
     if moving.size > 1:
         names = ", ".join(str(response["moving_axis"].to_numpy()[k]) for k in moving)
         raise InputError(f"response: {names} move; a test moves one axis, let the others stand")
@@ -63,12 +64,9 @@ def _values(response: xr.Dataset, name: str) -> Array | None:
 
 
 def driven(response: xr.Dataset) -> Array:
-    """Return a signal that is 0 at standstill: sum of heat input, running friction and axis travel.
-
-    An axis that moves to and fro within a step has no net travel; its friction shows the motion.
-    """
+    """Return a signal that is 0 at standstill: sum of heat input and travel of the axes."""
     drive: Array = np.abs(response["heat_input"].to_numpy().astype(float))
     if "axis_position" not in response:
         return drive
-    way = np.abs(np.diff(response["axis_position"].to_numpy(), axis=0)).sum(axis=1)
-    return drive + response["running_heat"].to_numpy().sum(axis=1) + np.concatenate([[0.0], way])
+    way = np.diff(response["axis_way"].to_numpy(), axis=0).sum(axis=1)
+    return drive + np.concatenate([[0.0], way])
