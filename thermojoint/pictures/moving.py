@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fesim.axes.axis import place_of
-from fesim.axes.setup import set_up_axes
+from fesim.axes.setup import axis_inputs, set_up_axes
 from fesim.case.schema import Case, first_step_at, step_count
 from fesim.march.machine import Step
 from fesim.setup.parts import unit_direction
-from fesim.simulate import simulate
+from fesim.simulate import at_rest, simulate
 from meshes.structure import Structure
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
@@ -106,9 +106,10 @@ def _round(value: float) -> float:
 
 
 def moving_scenes(case: Case, report: Report, count: int, up: Vector) -> list[Scene]:
-    """Simulate a case with axes; return scenes of its temperature at `count` times.
+    """Simulate a case with axes; return scenes of its temperature at `count` times from rest.
 
-    The bodies are shown at the positions of their axes.
+    The bodies are shown at the positions of their axes. There are fewer scenes if the simulation
+    has fewer steps.
     """
     report("setting up", 0, 1)
     ready = set_up_axes(case)
@@ -120,7 +121,7 @@ def moving_scenes(case: Case, report: Report, count: int, up: Vector) -> list[Sc
     shown = np.array([MILLI * axis.mesh_position_mm for axis in case.axes.values()])
     camera = Camera(onto(setup.structure, up, mirror), up)
     times = np.linspace(0.0, step_count(case.march) * step_s, count)[1:]
-    due = {first_step_at(float(time), step_s) for time in times}
+    due = {0} | {first_step_at(float(time), step_s) for time in times}
     own = setup.spaces.heat.nodal_dofs[0][stage.nodes]
     moments: list[tuple[float, Panel]] = []
 
@@ -134,6 +135,7 @@ def moving_scenes(case: Case, report: Report, count: int, up: Vector) -> list[Sc
         panel = Panel("temperature", whole((skin,), mirror), camera, shows="temperature rise (K)")
         moments.append((time, panel))
 
+    keep(at_rest(setup.machine, axis_inputs(case).at(np.zeros(1))[0]))
     response = simulate(
         case, setup=ready, on_step=keep, progress=partial(report, "marching")
     ).response

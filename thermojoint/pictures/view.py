@@ -121,7 +121,7 @@ def draw(source: Path, show: Show | None, out: Path, report: Report, up: Up | No
     _check_joints(source, case, show)
     if case.axes:
         _check_moving(show)
-        (end,) = moving_scenes(case, report, 2, _upwards(case, build_structure(case), up))
+        _, end = moving_scenes(case, report, 2, _upwards(case, build_structure(case), up))
         write_pictures({out: end})
         return
     setup, result, last = run_to_end(case, report)

@@ -45,7 +45,7 @@ def case(folder):
 
 
 def test_a_film_shows_the_bodies_where_the_axes_have_taken_them(case):
-    first, last = moving_scenes(case, quiet, 3, UP)
+    _, first, last = moving_scenes(case, quiet, 3, UP)
     (before,), (after,) = first.panels[0].surfaces, last.panels[0].surfaces
     moved = after.points - before.points
     # The column and the ram on it go 120 mm along x in a step; the bed and the table stand.
@@ -56,9 +56,16 @@ def test_a_film_shows_the_bodies_where_the_axes_have_taken_them(case):
     assert last.curve.now == 120.0
 
 
+def test_a_film_of_a_moving_machine_begins_at_rest(case):
+    rest, *_ = film = moving_scenes(case, quiet, 3, UP)
+    assert [scene.curve.now for scene in film] == [0.0, 60.0, 120.0]
+    (skin,) = rest.panels[0].surfaces
+    assert not skin.values.any()
+
+
 def test_where_the_mesh_shows_the_axes_does_not_move_the_picture_alone(case):
     """The table stands at 100 mm of z, and is drawn there."""
-    first, _ = moving_scenes(case, quiet, 3, UP)
+    first, *_ = moving_scenes(case, quiet, 3, UP)
     (skin,) = first.panels[0].surfaces
     # Of the table at zero z ends at 700 mm, of the bed at 900 mm.
     top = skin.points[np.abs(skin.points[:, 1] - 0.1) < 1e-9]
