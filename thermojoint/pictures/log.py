@@ -5,14 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
+from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.figures import stacked_panels
 from thermojoint.artefacts.log import Log
 from thermojoint.artefacts.quantities import Column
 from thermojoint.pictures.figures import write_figure
 
-#: Number of points of a curve shown in a panel.
-_POINTS = 4000
+#: Largest number of points of a curve in a panel.
+_POINTS = 8000
 _HOUR = 3600.0
 _LABELS = {
     "temperature": "temperature ({})",
@@ -45,14 +47,14 @@ def write_log_picture(log: Log, path: Path) -> None:
     quantities = [quantity for quantity in _LABELS if quantity in shown.values()]
     figure, panels = stacked_panels(len(quantities), 9.0, 1.0 + 2.2 * len(quantities))
     hours = _hours(log)
-    step = max(1, len(hours) // _POINTS)
     for panel, quantity in zip(panels, quantities, strict=True):
         scale, zero = _SHOWN.get(quantity, (1.0, 0.0))
         columns = [column for column in log.columns if shown[column.name] == quantity]
         for column in columns:
             absolute = quantity == "temperature" and column.unit != "K"
             values = scale * log.at(column.name) - (273.15 if absolute else zero)
-            panel.plot(hours[::step], values[::step], linewidth=1.0, label=column.name)
+            drawn = _drawn(values)
+            panel.plot(hours[drawn], values[drawn], linewidth=1.0, label=column.name)
         for begin, end in _pauses(log):
             panel.axvspan(begin, end, color="0.9", linewidth=0.0)
         # Columns in K are drawn in K: they may be above an ambient.
@@ -69,6 +71,23 @@ def _shown(column: Column) -> str:
     if column.quantity != "length" or column.is_displacement:
         return column.quantity
     return "position" if column.is_position else "way"
+
+
+def _drawn(values: Array) -> NDArray[np.int64]:
+    """Return the indices, increasing, of at most `_POINTS` of values (n,) that show them.
+
+    Of each stretch these are its lowest and its highest reading, so that a single misreading is
+    seen; of one without readings any sample, so that the gap is.
+    """
+    length = max(1, -(-2 * values.size // _POINTS))
+    stretches = np.full((-(-values.size // length), length), np.nan)
+    stretches.ravel()[: values.size] = values
+    lowest, highest = (
+        np.where(np.isnan(stretches), np.inf, sign * stretches).argmin(axis=1)
+        for sign in (1.0, -1.0)
+    )
+    begins = length * np.arange(len(stretches))
+    return np.unique(np.concatenate([begins + lowest, begins + highest]))
 
 
 def _hours(log: Log) -> np.ndarray:

@@ -92,6 +92,26 @@ def test_temperatures_in_kelvin_are_not_drawn_as_degrees_celsius(
     assert drawn[0].axes[0].get_ylabel() == f"temperature ({label})"
 
 
+def test_a_single_misreading_and_a_pause_are_seen_in_the_picture_of_a_long_log(
+    command, tmp_path, monkeypatch
+):
+    drawn = []
+    monkeypatch.setattr(
+        "thermojoint.pictures.log.write_figure", lambda figure, path, dpi: drawn.append(figure)
+    )
+    read = {12_345: "-900", 23_456: "900"} | dict.fromkeys(range(15_000, 15_040), "")
+    rows = "".join(f"{t},{read.get(t, t % 7)}\n" for t in range(30_001))
+    (tmp_path / "log.csv").write_text("time_s,x_um\n" + rows)
+    assert command("look", "log.csv", "--out", "log.png")[0] == 0
+    (line,) = drawn[0].axes[0].get_lines()
+    hours, shown = line.get_data()
+    assert (np.nanmin(shown), np.nanmax(shown)) == pytest.approx((-900.0, 900.0))
+    assert 3600.0 * hours[np.nanargmin(shown)] == pytest.approx(12_345.0)
+    assert np.isnan(shown).any()
+    assert np.all(np.diff(hours) > 0.0)
+    assert len(shown) <= 8000
+
+
 def test_a_look_at_no_log_ends_in_one_line_that_shows_the_value(command, tmp_path):
     (tmp_path / "log.csv").write_text("time,T1_degC\nnoon,20\n1 pm,21\n")
     code, out, err = command("look", "log.csv", "--out", "log.png")
