@@ -126,12 +126,14 @@ def iso230_3(  # noqa: PLR0913 - the options of a command
     content = report.parameters_json(evaluation, given.name)
     arguments.write_json(parameters, content)
     say(read)
-    if read and begin is None and test is not Protocol.ETVE and runs_at_first(record):
+    period, running = evaluation.period, test is not Protocol.ETVE
+    if read and begin is None and running and runs_at_first(record, period):
+        paused = f" after a pause, at {period.begin / 60.0:.4g} min" if period.begin else ""
         console.warn(
             [
-                f"{given}: the machine already runs in the first reading, so growth before it is "
-                "missing from the parameters; start the record earlier, or give --begin-min if "
-                "the run begins there"
+                f"{given}: the machine already runs in the first reading{paused}, so growth before "
+                "it is missing from the parameters; start the record earlier, or give --begin-min "
+                "if the run begins there"
             ]
         )
     if read:
@@ -140,7 +142,7 @@ def iso230_3(  # noqa: PLR0913 - the options of a command
                 f"{given}: {', '.join(names)}: not read from {gap.begin / 60.0:.4g} to "
                 f"{gap.end / 60.0:.4g} min of the record; an extreme in between is missing from "
                 "the parameters; repeat the test, or leave the channel out"
-                for gap, names in longest_unread(record, evaluation.period).items()
+                for gap, names in longest_unread(record, period).items()
             ]
         )
     results.show_test(console.out(parameters), test.heading, content)

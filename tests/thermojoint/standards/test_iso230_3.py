@@ -352,6 +352,24 @@ def test_a_log_that_begins_while_the_machine_runs_is_warned_of(command, log, tmp
     assert warning not in command("iso230-3", log, *spindle)[2]
 
 
+def test_a_pause_of_the_log_before_the_first_motion_is_no_part_of_the_run(command, log, tmp_path):
+    """The night before counted as running: 0 um in the first 60 min of a warm-up."""
+    head, *rows = log.read_text().splitlines()
+    paused, found = tmp_path / "paused.csv", tmp_path / "found.json"
+    # Logged until the machine was at rest for a quarter of an hour, and again ten hours later.
+    later = [f"{float(row.split(',')[0]) + 10 * HOUR:g},{row.partition(',')[2]}" for row in rows]
+    paused.write_text("\n".join([head, *rows[:30], *later[61:]]))
+    spindle = ("--test", "spindle", "--json", found)
+    code, _, errors = command("iso230-3", paused, *spindle)
+    assert (code, "first reading after a pause, at 630.5 min" in errors) == (0, True)
+    assert "not read from" not in errors
+    values = {row["symbol"]: row for row in json.loads(found.read_text("utf-8"))["parameters"]}
+    assert values["d(front)60"]["begin_s"] == pytest.approx(10.5 * HOUR + 30.0)
+    # The first half minute of it is missing.
+    grown = 100 * (np.exp(-30.0 / HOUR) - np.exp(-1 - 30.0 / HOUR))
+    assert values["d(front)60"]["value"] == pytest.approx(grown, rel=1e-4)
+
+
 def test_a_channel_that_was_not_read_for_long_is_warned_of(command, log, tmp_path):
     """Its extreme may lie in that time; here the highest reading is lost, 98 of 100 um."""
     head, *rows = log.read_text().splitlines()

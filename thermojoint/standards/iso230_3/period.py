@@ -35,7 +35,8 @@ def whole(record: Record) -> Period:
 def running(times: Array, drive: Array) -> Period:
     """Return the period from the first to the last motion.
 
-    Stops in between, as in a spectrum of speeds, are included.
+    Stops in between, as in a spectrum of speeds, are included; a pause of the record before the
+    first motion is not.
 
     Parameters
     ----------
@@ -52,12 +53,22 @@ def running(times: Array, drive: Array) -> Period:
     moving = np.flatnonzero(np.nan_to_num(drive) != 0.0)
     if not moving.size:
         raise InputError("drive: zero throughout; name the column of the speed, or give the period")
-    return Period(float(times[max(moving[0] - 1, 0)]), float(times[moving[-1]]))
+    first = int(moving[0])
+    if first > 0 and times[first] - times[first - 1] <= _longest_bridged(times):
+        first -= 1
+    return Period(float(times[first]), float(times[moving[-1]]))
 
 
-def runs_at_first(record: Record) -> bool:
-    """Return whether the drive of a record moves in its first sample."""
-    return record.drive is not None and bool(np.nan_to_num(record.drive[0]) != 0.0)
+def _longest_bridged(times: Array) -> float:
+    """Longest time between readings, s, that is no gap: `PAUSE` usual intervals, or `_BRIDGED`."""
+    return max(_BRIDGED, PAUSE * float(np.median(np.diff(times))))
+
+
+def runs_at_first(record: Record, period: Period) -> bool:
+    """Return whether the drive of a record moves in the first sample of a period already."""
+    if record.drive is None:
+        return False
+    return bool(np.nan_to_num(record.drive[np.searchsorted(record.times, period.begin)]) != 0.0)
 
 
 def longest_unread(record: Record, period: Period) -> dict[Period, list[str]]:
@@ -65,7 +76,7 @@ def longest_unread(record: Record, period: Period) -> dict[Period, list[str]]:
 
     A gap is longer than `PAUSE` usual intervals and than `_BRIDGED`, and lies in the period.
     """
-    least = max(_BRIDGED, PAUSE * float(np.median(np.diff(record.times))))
+    least = _longest_bridged(record.times)
     found: dict[Period, list[str]] = {}
     for channels in record.channels.values():
         for name, values in channels.items():
