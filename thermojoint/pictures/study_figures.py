@@ -30,12 +30,13 @@ def fan_figure(minutes: Array, curves: Array, label: str) -> Figure:
     minutes : ndarray, shape (times,)
         Time, min.
     curves : ndarray, shape (cases, times)
-        NaN where a case has no value.
+        NaN where a case has no value; between its own times a case is interpolated.
     label : str
         Label of the curves, with their unit.
     """
     figure = empty_grid(1, 1, (WIDTH, 3.4))
     (axes,) = figure.axes
+    curves = np.array([_between(minutes, curve) for curve in curves])
     some = ~np.isnan(curves).all(axis=0)
     minutes, curves = minutes[some], curves[:, some]
     for (low, high), shade in zip(PAIRS, _SHADES, strict=True):
@@ -50,6 +51,17 @@ def fan_figure(minutes: Array, curves: Array, label: str) -> Figure:
     axes.grid(alpha=0.3)
     axes.legend(fontsize=8)
     return figure
+
+
+def _between(times: Array, values: Array) -> Array:
+    """Return values (n,) with those missing between others interpolated over time.
+
+    Otherwise, of cases with steps of different lengths, neighbouring times had different cases.
+    """
+    read = ~np.isnan(values)
+    if not read.any():
+        return values
+    return np.interp(times, times[read], values[read], left=np.nan, right=np.nan)
 
 
 def pair_figure(columns: pd.DataFrame) -> Figure:

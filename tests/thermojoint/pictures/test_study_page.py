@@ -43,6 +43,18 @@ def test_a_fan_is_the_quantiles_of_its_curves():
     assert outer[:, 1].max() == pytest.approx(95.0 * 9.0)
 
 
+def test_a_fan_of_steps_of_different_lengths_has_every_case_at_every_time_of_its_run():
+    minutes = np.arange(7.0)
+    curves = np.outer([1.0, 2.0, 3.0], minutes)
+    curves[1:, 1::2] = np.nan
+    curves[2, 5:] = np.nan
+    curves = np.vstack([curves, np.full(7, np.nan)])
+    axes = fan_figure(minutes, curves, "x (µm)").axes[0]
+    (median,) = (line for line in axes.lines if line.get_label() == "median")
+    expected = np.where(minutes <= 4.0, 2.0, 1.5) * minutes
+    np.testing.assert_allclose(median.get_ydata(), expected)
+
+
 def test_pairs_show_each_column_against_each(table):
     assert len(pair_figure(table).axes) == 9
 
