@@ -30,11 +30,17 @@ def scene(
     from fesim.case.schema import read_case
     from fesim.setup.machine import set_up
     from thermojoint import console
+    from thermojoint.artefacts.errors import InputError
     from thermojoint.live.surface import surface_of, write_surface
     from thermojoint.pictures.scenes import up_direction
 
-    observer = read_observer(model)
     given = read_case(case)
+    if given.axes:
+        raise InputError(
+            f"{case}: a scene shows a machine that stands, and its {', '.join(given.axes)} may "
+            "move; leave out scene in the service file"
+        )
+    observer = read_observer(model)
     march = given.march.model_copy(update={"thermal": "reduced"})
     given = given.model_copy(update={"march": march})
     with console.working("setting up"):

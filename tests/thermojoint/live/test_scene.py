@@ -1,6 +1,7 @@
 """The machine in 3-D: a model without a mesh gets its surface back, and only its own."""
 
 from dataclasses import replace
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -81,6 +82,14 @@ def test_the_surface_of_another_machine_is_refused(coarse_data, watched):
     case = case_from_data(other, "case", Path())
     with pytest.raises(InputError, match="another case or mesh"):
         surface_of(case, set_up(case), watched.estimator.model, UP)
+
+
+def test_a_scene_of_a_machine_that_moves_is_refused_in_one_line(command, tmp_path):
+    """It was to leave out its axes, with which its model was calibrated."""
+    case, out = files("thermojoint").joinpath("cases", "moving_knee.toml"), tmp_path / "scene.h5"
+    code, _, errors = command("scene", case, tmp_path / "model.h5", "--out", out)
+    assert (code, errors.count("\n"), out.exists()) == (2, 1, False)
+    assert "a scene shows a machine that stands, and its y may move; leave out scene" in errors
 
 
 def test_a_surface_is_read_back_for_its_own_model_alone(tmp_path, surface, watched):
