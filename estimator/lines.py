@@ -82,6 +82,20 @@ def channels_at(axis: str, positions: Array) -> tuple[Channel, ...]:
     return tuple(Channel(name_at(axis, at), "m") for at in (positions / MILLI).tolist())
 
 
+def axis_of(axes: Sequence[str], name: str) -> str:
+    """Return the axis of a displacement: of an axis, or at a position of one (`name_at`).
+
+    Parameters
+    ----------
+    axes : sequence of str
+        Of the displacement, without units.
+    name : str
+        One of them, or of a displacement at a position.
+    """
+    place = _PLACE.fullmatch(name)
+    return name if name in axes or place is None else place[1]
+
+
 def places_in(axes: Sequence[str], names: Sequence[str]) -> dict[str, int]:
     """Return the indices of the names that are displacements at positions, by name.
 

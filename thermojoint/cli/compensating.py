@@ -41,7 +41,11 @@ def compensate(
     from thermojoint import console
     from thermojoint.compensation.offsets.output import band_along
     from thermojoint.compensation.offsets.preview import header, preview, row_of
-    from thermojoint.compensation.offsets.settings import read_settings, with_slopes
+    from thermojoint.compensation.offsets.settings import (
+        check_axes,
+        read_settings,
+        with_slopes,
+    )
     from thermojoint.compensation.offsets.usable import limit_without_band, reasons_against
 
     arguments.check_outputs({"--out": (out, file_kinds.OFFSETS)}, [estimate, settings])
@@ -53,9 +57,11 @@ def compensate(
                     f"{estimate}: a response is not an estimate; run 'estimate' on it first"
                 )
             axes, rows = read_estimate(source, arguments.shown(estimate))
-        if warning := limit_without_band(wanted.trust, np.array([row.band for row in rows])):
-            console.warn([f"{settings}: {warning}"])
+        check_axes(wanted, (*axes, *rows[0].places), str(settings))
         along = with_slopes(wanted, strokes_of(axes, rows), str(settings)).output
+        bands = [band_along(along, axes, row.band, row.lines) for row in rows]
+        if warning := limit_without_band(wanted.trust, np.array(bands)):
+            console.warn([f"{settings}: {warning}"])
         counted = Counter[str]()
         with arguments.output(out) as target:
             writer = csv.writer(target, lineterminator="\n")
@@ -66,8 +72,7 @@ def compensate(
     times, trust = [row.time for row in rows], wanted.trust
     _report(arguments.shown(estimate), times, counted)
     against = Counter[str]()
-    for row in rows:
-        band = band_along(along, axes, row.band, row.lines)
+    for row, band in zip(rows, bands, strict=True):
         against.update(reasons_against(trust, band, row.status))
     if against:
         parts = ", ".join(f"{why} {100.0 * n / len(rows):.3g} %" for why, n in against.items())

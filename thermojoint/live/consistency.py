@@ -7,9 +7,11 @@ from contextlib import suppress
 
 import numpy as np
 
+from estimator.lines import lines_of
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ThermojointError
 from thermojoint.artefacts.units import MICRO
+from thermojoint.compensation.offsets.output import OutputSettings, band_along
 from thermojoint.compensation.offsets.usable import limit_without_band
 from thermojoint.live.loaded_models import LoadedModel
 from thermojoint.live.settings import ServiceFile
@@ -25,7 +27,8 @@ def contradictions(given: ServiceFile, models: Mapping[str, LoadedModel]) -> Ite
             )
         if model.output is None:
             continue
-        band, widest = _band_at_first(model), model.output.trust.widest_band
+        band = _band_at_first(model, model.output.output)
+        widest = model.output.trust.widest_band
         if unlimited := limit_without_band(model.output.trust, band):
             yield f"models.{name}: {unlimited}"
         if bool((band > widest).any()):
@@ -36,11 +39,13 @@ def contradictions(given: ServiceFile, models: Mapping[str, LoadedModel]) -> Ite
             )
 
 
-def _band_at_first(model: LoadedModel) -> Array:
-    """Return the band of a first sample whose readings are all missing, or all zero, m."""
-    count = len(model.estimator.channels)
+def _band_at_first(model: LoadedModel, output: OutputSettings) -> Array:
+    """Return the followed bands (m) of a first sample with all readings missing, or all zero."""
+    count, axes = len(model.estimator.channels), model.layout.axes
     for value in (np.nan, 0.0):
         with suppress(ThermojointError):
             start = model.estimator.initial_state()
-            return model.estimator.sample(start, 0.0, [value] * count)[1].band
-    return np.full(len(model.estimator.axes), np.nan)
+            _, first = model.estimator.sample(start, 0.0, [value] * count)
+            lines = lines_of(axes, model.layout.details, first.details)
+            return band_along(output, axes, first.band, lines)
+    return np.full(len(output.names), np.nan)

@@ -464,6 +464,18 @@ def test_why_nothing_follows_is_said(files):
     assert "oldest_s" not in said
 
 
+def test_the_band_of_a_displacement_that_no_axis_follows_holds_no_axis(files):
+    """X follows x at 2 +/- 1 um; y is known to 9 um, and no axis follows it."""
+    lines = [f"{k},1,2,-5,1.0,9.0,ok" for k in range(4)]
+    (files / "estimate.csv").write_text(estimate_text(lines), "utf-8")
+    only_x = SETTINGS.partition("[axes.Z]")[0]
+    (files / "offsets.toml").write_text(f"widest_band_um = 5.0\n{only_x}", "utf-8")
+    said, rows = compensated(files)
+    assert "widest_band_um" not in said
+    assert [row["state"] for row in rows] == ["follow"] * 4
+    assert float(rows[-1]["offset_X_um"]) == pytest.approx(-2.0)
+
+
 def test_estimates_that_are_too_old_before_the_next_are_said(files):
     lines = [f"{60 * k},1,10,-5,,,ok" for k in range(4)]
     (files / "estimate.csv").write_text(estimate_text(lines), "utf-8")

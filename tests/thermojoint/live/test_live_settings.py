@@ -169,6 +169,8 @@ def test_settings_that_keep_values_from_being_good_are_said(tmp_path, hand_made_
     assert "widest_band_um 0.01 is narrower than the model's own band, 0.1 um" in told[1]
     uneven = replace(model_with(narrow, 1.0), estimator=Banded(1e-7, 1e-9))
     assert list(contradictions(given.given, {"m": uneven})) == told
+    other = replace(uneven, estimator=Banded(1e-9, 1e-7))
+    assert len(list(contradictions(given.given, {"m": other}))) == 1
     unknown = replace(model_with(narrow, 1.0), estimator=Banded(np.nan, np.nan))
     assert "there is no band" in list(contradictions(given.given, {"m": unknown}))[1]
     write_assembly(assemble(hand_made_model, 60.0, 7200.0), tmp_path / "model.json")

@@ -25,6 +25,7 @@ from thermojoint.compensation.loop.controller import AT_REST, Controller, Contro
 from thermojoint.compensation.offsets.output import (
     OutputState,
     at_zero,
+    band_along,
     cycle,
     followed,
     offsets_of,
@@ -221,7 +222,8 @@ def _target(
     if arrived is None:
         return None
     age = time - arrived.time
-    if not usable(settings.trust, age, arrived.band, arrived.words):
+    band = band_along(settings.output, axes, arrived.band, None)
+    if not usable(settings.trust, age, band, arrived.words):
         return None
     return followed(settings.output, axes, arrived.displacement)
 

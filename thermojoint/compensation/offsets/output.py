@@ -28,7 +28,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from estimator.lines import Lines, lever
+from estimator.lines import Lines, axis_of, lever
 from thermojoint.artefacts.arrays import Array
 
 #: Further numbers stored with each offset and slope.
@@ -257,16 +257,27 @@ def followed(
 def band_along(
     settings: OutputSettings, axes: Sequence[str], band: Array, lines: Lines | None
 ) -> Array:
-    """Return bands (m) that hold at every position of the stroke for the axes with a slope.
+    """Return the bands of what the axes of the control follow, m, shape (axes of the control,).
 
-    They are not wider than the sum of the bands of offset and slope.
+    That of an axis with a slope holds at every position of the stroke; it is not wider than the sum
+    of the bands of offset and slope. Displacements that no axis follows do not count.
+
+    Parameters
+    ----------
+    settings : OutputSettings
+    axes : sequence of str
+        Axes of the estimate.
+    band : ndarray, shape (axes,)
+        Half-widths of its bands, m.
+    lines : Lines or None
+        Estimated lines.
     """
-    if not settings.slopes or lines is None:
-        return band
-    widest = band.copy()
-    for k, own in zip(settings.along, settings.slopes, strict=True):
-        at = list(axes).index(settings.estimated[k])
-        widest[at] += lever(lines.reference[at], own.low, own.high) * lines.band[at]
+    at = [list(axes).index(axis_of(axes, name)) for name in settings.estimated]
+    widest = band[at]
+    if lines is not None:
+        for k, own in zip(settings.along, settings.slopes, strict=True):
+            reach = lever(lines.reference[at[k]], own.low, own.high)
+            widest[k] += reach * lines.band[at[k]]
     return widest
 
 

@@ -38,8 +38,8 @@ def usable(trust: Trust, age: float, band: Array, status: str) -> bool:
     trust : Trust
     age : float
         Age of the estimate, s.
-    band : ndarray, shape (axes,)
-        Half-widths of the bands, m; NaN if unknown.
+    band : ndarray, shape (axes of the control,)
+        Half-widths of the bands of what they follow (`output.band_along`), m; NaN if unknown.
     status : str
         ``ok``, or reasons with the channels concerned: ``sensor-distrusted:T1,T2``.
     """
@@ -65,7 +65,7 @@ def limit_without_band(trust: Trust, bands: Array) -> str:
     ----------
     trust : Trust
     bands : ndarray
-        Half-widths of some estimates, m.
+        Half-widths of what is followed in some estimates, m.
     """
     if not math.isfinite(trust.widest_band) or not np.isnan(bands).all():
         return ""
