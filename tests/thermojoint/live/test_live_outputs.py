@@ -140,6 +140,55 @@ def test_another_file_under_the_same_header_is_read_from_its_beginning(tmp_path)
     assert [one.time for one in again] == [4.0, 5.0, 6.0, 7.0, 8.0]
 
 
+def file_of(path, header, rows):
+    path.write_text(header + "".join(f"{at};20;20\n" for at in rows), "utf-8")
+    return path
+
+
+@pytest.mark.parametrize("clock", ["Zeit", "Zeit [Europe/Berlin]"])
+@pytest.mark.parametrize("following", [False, True])
+def test_a_change_of_summer_time_holds_in_the_next_file(tmp_path, clock, following):
+    """A logger in local time begins a file every hour; whether the service runs then or not."""
+    names = ";T1_degC;T2_degC\n"
+    path = file_of(tmp_path / "log.csv", clock + names, ["25.10.2026 02:40", "25.10.2026 02:50"])
+    later = [
+        (f"{clock}{names}", ["25.10.2026 02:00", "25.10.2026 02:10"]),
+        (f"{clock}{names}", ["25.10.2026 03:00", "25.10.2026 03:10"]),
+    ]
+    times, position = [], None
+    if following:
+        times = asyncio.run(rotated(replace(pipe_of(path, *NAMES), follow=True), later))
+    else:
+        for part in (None, *later):
+            if part is not None:
+                file_of(path, *part)
+            arrivals, _ = read(pipe_of(path, *NAMES), position)
+            position = json.loads(json.dumps(arrivals[-1].position))
+            times += [one.time for one in arrivals]
+    np.testing.assert_array_equal(np.diff(times), [600.0, 600.0, 600.0, 3000.0, 600.0])
+
+
+def test_a_clock_without_a_date_goes_on_in_the_file_of_the_next_day(tmp_path):
+    names = "Uhrzeit;T1_degC;T2_degC\n"
+    path = file_of(tmp_path / "log.csv", names, ["23:50:00", "23:55:00"])
+    reader = replace(pipe_of(path, *NAMES), follow=True)
+    times = asyncio.run(rotated(reader, [(names, ["00:00:00", "00:05:00"])]))
+    np.testing.assert_array_equal(np.diff(times), [300.0] * 3)
+
+
+async def rotated(reader, later):
+    """The times that a reader finds in a file that is replaced by another one when it is read."""
+    times, waiting = [], list(later)
+    async for some in reader.read({}):
+        times += [one.time for one in some if isinstance(one, Arrival)]
+        if len(times) % 2 == 0 and any(isinstance(one, Arrival) for one in some):
+            if not waiting:
+                return times
+            new = file_of(reader.path.with_name("new"), *waiting.pop(0))
+            new.rename(reader.path)
+    return times
+
+
 def test_a_damaged_time_in_a_stream_leaves_out_its_row(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text("time_s,T1_degC,T2_degC\n0,20,20\n1e18,20,20\n2,20,20\n", "utf-8")

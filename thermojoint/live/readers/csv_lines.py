@@ -23,7 +23,7 @@ from zlib import crc32
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log_record import Record, begun
 from thermojoint.artefacts.quantities import Place, place_of
-from thermojoint.artefacts.tables.clock import Hands
+from thermojoint.artefacts.tables.clock import Clock, Hands
 from thermojoint.artefacts.tables.layout import HEAD, Layout, layout_of
 from thermojoint.artefacts.tables.source import OR_CP1252, encoding_of
 from thermojoint.artefacts.tables.stream import decimal_in, row_of
@@ -199,6 +199,8 @@ async def _read_file(reader: CsvReader, position: Any) -> AsyncIterator[list[Arr
             try:
                 async for block in _read_rows(reader, file, position):
                     yield block
+                    read = [item.position for item in block if isinstance(item, Arrival)]
+                    position = read[-1] if read else position
             except InputError as error:
                 # The header is wrong: this machine waits for another file, the others continue.
                 yield [Note("source-refused", str(error), reader.machine)]
@@ -209,8 +211,8 @@ async def _read_file(reader: CsvReader, position: Any) -> AsyncIterator[list[Arr
                     await asyncio.sleep(_POLL_S)
         if not reader.follow:
             return
-        # The file was replaced by another one.
-        position = None
+        # The file was replaced by another one: only its clock goes on.
+        position = {key: (position or {}).get(key) for key in ("clock", "form")}
 
 
 async def _read_rows(
@@ -230,9 +232,9 @@ async def _read_rows(
     yield [_read_note(reader, header)]
     file.seek(0)
     first = b"".join(file.readline(LONGEST_LINE) for _ in range(header.layout.dialect.first))
-    at, hands = len(first), Hands()
+    at, hands = len(first), _clock_state_of(position, header.layout.clock)
     if _continues(position, first, file):
-        at, hands = int(position["offset"]), _clock_state_of(position)
+        at = int(position["offset"])
         header = _in_decimal(header, header.layout.dialect.decimal or position.get("decimal", ""))
     file.seek(at)
     mark = {"sum": crc32(first)}
@@ -280,17 +282,29 @@ def _positioned(
     if header.layout.dialect.decimal:
         position = position | {"decimal": header.layout.dialect.decimal}
     if header.layout.clock.form not in ("number", "excel"):
-        position = position | {"clock": [hand if math.isfinite(hand) else None for hand in hands]}
+        clock_state = [hand if math.isfinite(hand) else None for hand in hands]
+        position = position | {"clock": clock_state, "form": _form_of(header.layout.clock)}
     return [
         replace(item, position=position) if isinstance(item, Arrival) else item for item in items
     ]
 
 
-def _clock_state_of(position: Mapping[str, Any]) -> Hands:
-    """Return the state of the clock in a position, which may lack it if the clock needs none."""
+def _clock_state_of(position: Any, clock: Clock) -> Hands:  # noqa: ANN401
+    """Return the state of a clock in a position; a new one for another clock, or without it.
+
+    It goes on in another file, as a logger begins one every day: midnights that have passed and
+    changes of summer time still hold there.
+    """
     usual = Hands()
-    stored = position.get("clock", usual)
+    if not isinstance(position, dict) or position.get("form") not in (None, _form_of(clock)):
+        return usual
+    stored = position.get("clock") or usual
     return Hands(*(old if hand is None else hand for hand, old in zip(stored, usual, strict=True)))
+
+
+def _form_of(clock: Clock) -> str:
+    """Return what two clocks have in common whose times continue each other."""
+    return f"{clock.form} {'local' if clock.local else clock.zone}"
 
 
 def _with_decimal_of(header: Header, line: bytes) -> Header:
@@ -371,6 +385,7 @@ def _is_pipe(path: Path) -> bool:
 async def _read_stream(reader: CsvReader) -> AsyncIterator[list[Arrival | Note]]:
     """Yield the rows of a pipe until it ends; a FIFO is opened again for its next writer."""
     loop = asyncio.get_running_loop()
+    hands, form = Hands(), ""
     while True:
         if str(reader.path) == "-":
             source = os.fdopen(os.dup(sys.stdin.fileno()), "rb", buffering=0)
@@ -384,7 +399,7 @@ async def _read_stream(reader: CsvReader) -> AsyncIterator[list[Arrival | Note]]
             source,
         )
         header: Header | None = None
-        beginning, hands = _FirstLines(), Hands()
+        beginning = _FirstLines()
         try:
             while True:
                 line = await _line_of(lines)
@@ -402,6 +417,8 @@ async def _read_stream(reader: CsvReader) -> AsyncIterator[list[Arrival | Note]]
                         yield [header_or_note]
                     elif header_or_note is not None:
                         header = header_or_note
+                        if form != _form_of(header.layout.clock):
+                            hands, form = Hands(), _form_of(header.layout.clock)
                         yield [_read_note(reader, header)]
                         for row in beginning.lines[header.layout.dialect.first :]:
                             items, hands = items_in(reader, header, row.encode(), hands)
