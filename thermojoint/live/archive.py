@@ -58,13 +58,10 @@ class Archive:
         at_most = max(1, min(at_most, MOST_ROWS))
         with self._reading() as store:
             eras, layout = _eras(store, machine)
-            marks = ",".join("?" * len(eras))
-            within = f"era IN ({marks}) AND first <= ? AND last >= ?"
-            (total,) = store.execute(
-                f"SELECT coalesce(sum(count), 0) FROM chunks WHERE {within}", (*eras, until, since)
-            ).fetchone()
             recent = _journal(store, eras)
-            every = max(1, -(-(total + len(recent)) // at_most))
+            total = _count(store, eras, (since, until))
+            total += sum(bool(since <= row[0] <= until) for _, row, _ in recent)
+            every = max(1, -(-total // at_most))
             chunks = _chunks(store, eras, (since, until))
             parts = [_thinned(*chunk, every) for chunk in chunks]
             parts += [
@@ -215,6 +212,28 @@ def _journal(store: sqlite3.Connection, eras: list[int]) -> list[tuple[int, Arra
         eras,
     )
     return [(number, np.frombuffer(row, dtype="<f8"), status) for number, row, status in found]
+
+
+def _count(store: sqlite3.Connection, eras: list[int], span: tuple[float, float]) -> int:
+    """Return the number of samples of the chunks in a span.
+
+    A chunk may be much longer than the span: a backlog that was read at once is one chunk.
+    """
+    marks, (since, until) = ",".join("?" * len(eras)), span
+    whole = "first >= ? AND last <= ?"
+    (count,) = store.execute(
+        f"SELECT coalesce(sum(count), 0) FROM chunks WHERE era IN ({marks}) AND {whole}",
+        (*eras, since, until),
+    ).fetchone()
+    parts = store.execute(
+        f"SELECT count, rows FROM chunks WHERE era IN ({marks}) "
+        f"AND first <= ? AND last >= ? AND NOT ({whole})",
+        (*eras, until, since, since, until),
+    )
+    for number, rows in parts:
+        times = np.frombuffer(rows, dtype="<f8").reshape(number, -1)[:, 0]
+        count += np.count_nonzero((times >= since) & (times <= until))
+    return int(count)
 
 
 def _chunks(

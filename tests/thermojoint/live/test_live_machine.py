@@ -222,6 +222,18 @@ def test_the_history_marks_what_is_missing_thins_and_forgets(path, store, fleet)
     assert log.stat().st_size == size
 
 
+def test_a_short_span_of_a_long_history_is_not_thinned(path, store, fleet):
+    """A backlog that was read at once is one chunk; the journal is as long as a checkpoint."""
+    feed(fleet, store, 0, 200)
+    checkpoint(fleet, store)
+    feed(fleet, store, 200, 300)
+    for begin in (150, 190, 230):
+        part = Archive(path).history("mill", START + begin, START + begin + 20, 21)
+        np.testing.assert_array_equal(part.numbers, np.arange(begin + 1, begin + 22))
+    thinned = Archive(path).history("mill", START + 100, START + 299, 100)
+    assert (thinned.every, len(thinned.numbers)) == (2, 100)
+
+
 def test_another_model_begins_anew(model, store, fleet):
     feed(fleet, store, 0, 10)
     era = fleet.machines["mill"].era
