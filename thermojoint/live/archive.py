@@ -255,14 +255,17 @@ def _in_order(
 ) -> Iterator[tuple[int, Array, str]]:
     """Yield number, row and status of samples in order, including some outside the span."""
     step, order = (-1, "DESC") if newest_first else (1, "ASC")
-    stored = (
-        (first + k, rows[k], words[k])
-        for first, rows, words in _chunks(store, eras, span, order)
-        for k in range(len(rows))[::step]
-    )
-    recent = _journal(store, eras)[::step]
     # After a set-back clock the samples of two eras overlap.
-    yield from merge(recent, stored, key=lambda one: one[1][0], reverse=newest_first)
+    recent = [_journal(store, [era])[::step] for era in eras]
+    stored = [
+        (
+            (first + k, rows[k], words[k])
+            for first, rows, words in _chunks(store, [era], span, order)
+            for k in range(len(rows))[::step]
+        )
+        for era in eras
+    ]
+    yield from merge(*recent, *stored, key=lambda one: one[1][0], reverse=newest_first)
 
 
 def _thinned(

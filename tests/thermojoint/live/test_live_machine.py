@@ -604,6 +604,22 @@ def test_a_machine_begins_anew_when_the_clock_was_set_back_for_good_and_its_offs
     assert [one.time for one in newest] == times[::-1]
 
 
+def test_the_history_is_in_the_order_of_time_where_a_set_back_clock_repeats_it(model, store, path):
+    """A client reads on from the time of the last sample, and misses none."""
+    fleet = fleet_of(model, store, START)
+    feed(fleet, store, 0, 60)
+    checkpoint(fleet, store)
+    mill, now = fleet.machines["mill"], START + 30.0
+    processing.begin_anew(fleet, mill, new_era(store, "mill", model.digest, model.layout, now), now)
+    feed(fleet, store, 30, 50)
+    checkpoint(fleet, store)
+    feed(fleet, store, 50, 55)
+    for backwards in (False, True):
+        found = Archive(path).samples("mill", (START, START + 60.0), 1000, backwards)
+        times = [one.time - START for one in found]
+        assert times == sorted([*range(60), *range(30, 55)], reverse=backwards)
+
+
 def test_a_service_that_starts_with_the_clock_behind_waits_an_hour_for_the_network(
     model, store, path
 ):
