@@ -33,6 +33,8 @@ TAKEN = (
 SHOWN = (*TAKEN, ".png", ".former")
 #: Names of accepted or displayed files: no folder, no hidden file, nothing like an option.
 _NAME = re.compile(r"[^\W_][\w .,()+-]{0,120}")
+#: Longest name, bytes: file systems take 255, and a file that is kept beside it has a longer one.
+_LONGEST = 200
 MAPPING = "columns.toml"
 #: Outputs of the steps that are tables, not logs.
 _OWN_TABLES = ("estimate.csv", "offsets.csv", "writes.csv")
@@ -64,7 +66,8 @@ class Place:
             The name leads out of the folder, or the file is hidden.
         """
         path = self.folder / name
-        if not _NAME.fullmatch(name) or not path.resolve().is_relative_to(self.folder.resolve()):
+        fits = _NAME.fullmatch(name) and len(name.encode()) <= _LONGEST
+        if not fits or not path.resolve().is_relative_to(self.folder.resolve()):
             raise InputError(
                 f"{name[:120]!r}: not the name of a file in this folder; use letters, digits, _ - ."
             )

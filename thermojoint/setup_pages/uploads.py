@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from contextlib import suppress
+from pathlib import Path
 
 from thermojoint.artefacts.errors import InputError
 from thermojoint.setup_pages.place import TAKEN, Place
@@ -39,17 +39,35 @@ def take_piece(place: Place, name: str, piece: bytes, at: str, size: str) -> Non
     begin, whole = numbers
     if not 0 <= begin <= whole <= LARGEST_FILE or begin + len(piece) > whole:
         raise InputError(f"{name}: larger than {LARGEST_FILE} bytes, or in pieces that do not fit")
-    place.jobs.records.mkdir(exist_ok=True)
     digest = hashlib.sha256(name.encode()).hexdigest()[:16]
     part = place.jobs.records / f"upload-{digest}"
-    if begin == 0:
-        with suppress(FileNotFoundError):
-            part.unlink()
-    with part.open("ab") as file:
-        if file.tell() != begin:
-            raise InputError(f"{name}: a piece is missing; send it again")
-        file.write(piece)
-    if begin + len(piece) == whole:
-        # The link fails if a file of this name has been created meanwhile.
+    try:
+        place.jobs.records.mkdir(exist_ok=True)
+        if begin == 0:
+            part.unlink(missing_ok=True)
+        with part.open("ab") as file:
+            if file.tell() != begin:
+                raise InputError(f"{name}: a piece is missing; send it again")
+            file.write(piece)
+        if begin + len(piece) == whole and not _moved(part, path):
+            raise InputError(f"{name}: exists already; send it under another name")
+    except OSError as error:
+        why = f"cannot be written ({error.strerror})"
+        raise InputError(f"{name}: {why}; check the folder and its space") from error
+
+
+def _moved(part: Path, path: Path) -> bool:
+    """Give a file its name; False if a file of this name has been created meanwhile."""
+    try:
         path.hardlink_to(part)
         part.unlink()
+    except FileExistsError:
+        return False
+    except OSError:
+        # There are file systems without hard links, such as exFAT.
+        try:
+            path.touch(exist_ok=False)
+        except FileExistsError:
+            return False
+        part.replace(path)
+    return True

@@ -1,5 +1,7 @@
 """The pages that set up: who gets in, what is refused, what a form does to a file."""
 
+import errno
+import os
 import re
 import signal
 import stat
@@ -231,10 +233,47 @@ def test_a_file_is_sent_in_pieces_and_replaces_none(client, place):
     assert (place.folder / "a.csv").read_bytes() == content
 
 
+def test_a_file_is_sent_where_there_are_no_hard_links(client, place, monkeypatch):
+    """As to exFAT, or over SMB."""
+
+    def link(*_, **__):
+        raise OSError(errno.EPERM, "Operation not permitted")
+
+    monkeypatch.setattr(os, "link", link)
+    assert upload(client, "a.csv", b"0123456789", 4).status_code == 204
+    assert (place.folder / "a.csv").read_bytes() == b"0123456789"
+    assert not list(place.jobs.records.glob("upload-*"))
+
+
+@pytest.mark.parametrize("linked", [False, True])
+def test_a_file_that_came_while_another_was_sent_stays(client, place, monkeypatch, linked):
+    made = os.link
+
+    def link(*given, **more):
+        (place.folder / "a.csv").write_bytes(b"mine")
+        if not linked:
+            raise OSError(errno.ENOTSUP, "Operation not supported")
+        made(*given, **more)
+
+    monkeypatch.setattr(os, "link", link)
+    answer = upload(client, "a.csv", b"other")
+    assert answer.status_code == 400
+    assert answer.json()["error"] == "a.csv: exists already; send it under another name"
+    assert (place.folder / "a.csv").read_bytes() == b"mine"
+
+
+def test_what_the_disk_refuses_is_said_in_one_line(client, place):
+    place.jobs.records.write_text("no folder")
+    answer = upload(client, "a.csv", b"other")
+    assert answer.status_code == 400
+    assert "a.csv: cannot be written (File exists)" in answer.json()["error"]
+
+
 @pytest.mark.parametrize(
     ("name", "at", "size", "told"),
     [
         ("run.sh", 0, 1, "not used"),
+        ("\u6e29" * 100 + ".csv", 0, 1, "not the name of a file"),
         ("a.csv", 0, 1 << 40, "larger"),
         ("a.csv", 5, 9, "missing"),
         ("a.csv", -1, 9, "larger"),
@@ -244,7 +283,7 @@ def test_what_is_no_piece_of_a_file_is_refused(name, at, size, told, client, pla
     answer = client.post(f"/upload/{name}?at={at}&size={size}", content=b"x")
     assert answer.status_code == 400
     assert told in answer.json()["error"]
-    assert not (place.folder / name).exists()
+    assert not place.tables()
 
 
 def test_a_piece_that_is_too_large_is_refused(client):
