@@ -12,6 +12,7 @@ from fesim.case.schema import case_from_data
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.files import write_text
 from thermojoint.artefacts.settings import toml
+from thermojoint.artefacts.tables.source import lines_of
 from thermojoint.compensation.offsets.output import OutputSettings
 from thermojoint.compensation.offsets.settings import read_settings, settings_from_data, with_slopes
 from thermojoint.live.settings import service_from_data
@@ -39,8 +40,8 @@ class RefusedError(InputError):
 
 def estimated(place: Place) -> tuple[tuple[str, ...], list[Row]]:
     """Return the axes of the estimate, and its first rows; raises InputError without one."""
-    with place.path(place.existing(ESTIMATE)).open(encoding="utf-8") as file:
-        return read_estimate(islice(file, _HEAD), ESTIMATE)
+    with lines_of(place.path(place.existing(ESTIMATE)), "estimate") as lines:
+        return read_estimate(islice(lines, _HEAD), ESTIMATE)
 
 
 def _output(place: Place) -> OutputSettings | None:

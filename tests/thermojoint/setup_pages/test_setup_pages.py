@@ -411,6 +411,15 @@ def test_a_form_of_a_file_with_a_byte_order_mark_is_saved(client, place):
     assert path.read_text("utf-8") == OFFSETS.replace("= 1.0", "= 2.0")
 
 
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-8-sig"])
+def test_an_estimate_in_any_encoding_of_a_table_has_its_axes(encoding, client, place):
+    """PowerShell writes what it is given as UTF-16; the commands read it."""
+    (place.folder / "estimate.csv").write_text(ESTIMATE, encoding)
+    answer = client.get("/offsets")
+    assert answer.status_code == 200
+    assert 'name="axis:x"' in answer.text
+
+
 def test_names_are_written_by_points_and_come_back_into_the_form(client, place):
     (place.folder / "part.step").write_text("")
     recorded(place, "part", "$ thermojoint mesh part.step --size-mm=5", "exit code 0")
