@@ -3,9 +3,11 @@
 import asyncio
 import json
 import math
+import os
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
+from threading import Thread
 
 import numpy as np
 import pytest
@@ -187,6 +189,30 @@ async def rotated(reader, later):
             new = file_of(reader.path.with_name("new"), *waiting.pop(0))
             new.rename(reader.path)
     return times
+
+
+@pytest.mark.parametrize("piped", [False, True])
+def test_rows_below_another_header_are_not_read_by_the_first(tmp_path, piped):
+    """A logger that was started again with its thermometers swapped: T2 was taken for T1."""
+    path = tmp_path / "log.csv"
+    text = "time_s,T1_degC,T2_degC\n0,20,30\n1,20,30\ntime_s,T2_degC,T1_degC\n2,30,20\n"
+    if piped:
+        os.mkfifo(path)
+        writer = Thread(target=path.write_text, args=(text,))
+        writer.start()
+    else:
+        path.write_text(text)
+    found = []
+
+    async def whole():
+        async for some in pipe_of(path, *NAMES).read({}):
+            found.extend(one for one in some if isinstance(one, Arrival))
+
+    with pytest.raises(InputError, match=r"log\.csv: a header with other columns than the first"):
+        asyncio.run(whole())
+    assert [one.time for one in found] == [0.0, 1.0]
+    if piped:
+        writer.join()
 
 
 def test_a_damaged_time_in_a_stream_leaves_out_its_row(tmp_path):

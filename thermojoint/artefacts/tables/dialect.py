@@ -34,6 +34,10 @@ _DIGITS = frozenset("0123456789")
 _COMMENT = re.compile(r"^\s*#(?!N/A|NA|DIV|VALUE|WERT|REF|BEZUG|NUM|ZAHL|NAME)", re.IGNORECASE)
 
 
+class OtherHeaderError(InputError):
+    """A line is another header for as many columns: the rows below it look like those above."""
+
+
 @dataclass(frozen=True)
 class Dialect:
     """Dialect of a table."""
@@ -165,8 +169,10 @@ def values_of(row: list[str], dialect: Dialect) -> list[str] | None:
 
     Raises
     ------
+    OtherHeaderError
+        They are another header.
     InputError
-        They are another header, or their number differs from the header's.
+        Their number differs from the header's.
     """
     count = len(dialect.given)
     if len(row) == count and row[0][:1] in _DIGITS:
@@ -178,7 +184,8 @@ def values_of(row: list[str], dialect: Dialect) -> list[str] | None:
         return None
     if any(map(clock_word, cells)) and not is_data(cells):
         # Without it the rows below would be read by the names of the first one.
-        raise InputError(
+        kind = OtherHeaderError if len(cells) == count else InputError
+        raise kind(
             "a header with other columns than the first; put it and the rows below it into a file "
             "of their own"
         )

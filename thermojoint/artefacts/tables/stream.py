@@ -51,6 +51,8 @@ def row_of(
 
     Raises
     ------
+    OtherHeaderError
+        The line is another header.
     InputError
         The number of cells differs from the header's, the time is missing, or a reading is neither
         a number nor missing.

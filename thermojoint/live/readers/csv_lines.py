@@ -2,8 +2,9 @@
 
 They are read by the rules for all tables (docs/tables.md), one row at a time: the first lines give
 the separator, the columns of the time and the readings, and their units. A malformed row is noted
-and skipped. The position in a file is stored, so that nothing is lost or read twice whenever the
-service ends; a pipe has no position.
+and skipped; another header ends the file, since the rows below it have other columns. The position
+in a file is stored, so that nothing is lost or read twice whenever the service ends; a pipe has no
+position.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log_record import Record, begun
 from thermojoint.artefacts.quantities import Place, place_of
 from thermojoint.artefacts.tables.clock import Clock, Hands
+from thermojoint.artefacts.tables.dialect import OtherHeaderError
 from thermojoint.artefacts.tables.layout import HEAD, Layout, layout_of
 from thermojoint.artefacts.tables.source import OR_CP1252, encoding_of
 from thermojoint.artefacts.tables.stream import decimal_in, row_of
@@ -256,14 +258,19 @@ async def _read_rows(
         lines = (rest + block).split(b"\n")
         rest = lines.pop()
         arrivals: list[Arrival | Note] = []
+        other: OtherHeaderError | None = None
         for line in lines:
             at += len(line) + 1
             if skipping:
                 skipping = False
-            else:
-                header = _with_decimal_of(header, line)
+                continue
+            header = _with_decimal_of(header, line)
+            try:
                 items, hands = items_in(reader, header, line, hands)
-                arrivals += _positioned(items, mark | _position(line + b"\n", at), header, hands)
+            except OtherHeaderError as error:
+                other = error
+                break
+            arrivals += _positioned(items, mark | _position(line + b"\n", at), header, hands)
         if len(rest) > LONGEST_LINE:
             at += len(rest)
             rest = b""
@@ -272,6 +279,8 @@ async def _read_rows(
             skipping = True
         for k in range(0, len(arrivals), _BLOCK_ROWS):
             yield arrivals[k : k + _BLOCK_ROWS]
+        if other is not None:
+            raise other
         await asyncio.sleep(0)
 
 
@@ -452,9 +461,17 @@ async def _line_of(lines: asyncio.StreamReader) -> bytes | None:
 def items_in(
     reader: CsvReader, header: Header, line: bytes, hands: Hands
 ) -> tuple[list[Arrival | Note], Hands]:
-    """Return the content of a line, and the state of its clock."""
+    """Return the content of a line, and the state of its clock.
+
+    Raises
+    ------
+    OtherHeaderError
+        The line is another header.
+    """
     try:
         row = row_of(_text(line).rstrip("\r\n"), header.layout, header.places, hands)
+    except OtherHeaderError as error:
+        raise OtherHeaderError(f"{reader.path}: {error}") from error
     except (InputError, ValueError, OverflowError) as error:
         text = f"{reader.path}: a line is not a row: {error}"
         return [Note("malformed", text, reader.machine)], hands
