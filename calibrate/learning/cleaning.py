@@ -290,11 +290,25 @@ def _check_displacement(table: Table, k: int, changing: Flags, rules: Cleaning) 
         lasting = abs(float(np.median(after) - np.median(before))) if len(before) else 0.0
         if abs(steps[row]) > far and lasting > rules.lasting * abs(steps[row]):
             hours = (table.times[there][row] - table.times[0]) / 3600.0
-            raise InputError(
-                f"{column.name}: jumps by {MEGA * steps[row]:.1f} um {hours:.1f} h after the "
-                "start, as if the probe had lost its zero; split the log there, into files whose "
-                "times restart"
+            jumps = (
+                f"{column.name}: jumps by {MEGA * steps[row]:.1f} um {hours:.1f} h after the start"
             )
+            value, often = _often_reached(seen, (seen[row - 1], seen[row]))
+            if often > rules.stretches:
+                raise InputError(
+                    f"{jumps}, from or to {MEGA * value:.4g} um, which it reaches {often} times, "
+                    "as where nothing is read; leave these cells empty"
+                )
+            raise InputError(
+                f"{jumps}, as if the probe had lost its zero; split the log there, into files "
+                "whose times restart"
+            )
+
+
+def _often_reached(values: Array, either: tuple[float, float]) -> tuple[float, int]:
+    """Return the one of two values to which values (k,) come more often, and how often."""
+    counts = [int(np.count_nonzero(np.diff((values == one).astype(int)) > 0)) for one in either]
+    return max(zip(either, counts, strict=True), key=lambda one: one[1])
 
 
 def _bridged(table: Table, kept: list[int]) -> Array:

@@ -82,6 +82,8 @@ class Cleaning:
     lasting: float = 0.7
     #: A displacement that jumps by this fraction of its range has lost its zero.
     jump: float = 0.15
+    #: It has not, but is not read, where it jumps from or to one value more often than this.
+    stretches: int = 5
     #: Longest interval for these limits of jumps, s; for a longer one they grow with it, since the
     #: machine moves between samples.
     pace: float = 600.0

@@ -277,6 +277,11 @@ def unlike(values):
     return 5e-6 * np.cumsum(np.random.default_rng(8).standard_normal(len(values))) / 20.0
 
 
+def unread_is_zero(values):
+    """As a control shows a probe that is away."""
+    return np.where(np.arange(len(values)) % 60 < 25, 0.0, values + 40e-6)
+
+
 def jump(values):
     values[500:] += 40e-6
     return values
@@ -300,7 +305,8 @@ def for_two_hours(values):
     [
         (LOG.part(slice(0, 100)), "1.6 h long"),
         (changed(LOG, "x_um", lambda values: values * 0.0), "x_um: constant"),
-        (changed(LOG, "x_um", jump), "x_um: jumps by"),
+        (changed(LOG, "x_um", jump), "as if the probe had lost its zero"),
+        (changed(LOG, "x_um", unread_is_zero), "to 0 um, which it reaches 13 times, as where"),
         (changed(LOG, "x_um", read_every(18)), "x_um: 47 readings, 13.8 h from the first"),
         (changed(LOG, "x_um", for_two_hours), "x_um: 120 readings, 2.0 h from the first"),
         (still(LOG, "n_rpm", *(f"T{k}_degC" for k in range(1, 7))), "no usable temperature"),
