@@ -279,20 +279,24 @@ def _check_displacement(table: Table, k: int, changing: Flags, rules: Cleaning) 
     size = float(np.ptp(seen))
     if size < rules.still_length:
         raise InputError(f"{column.name}: constant within {MEGA * size:.2g} um; nothing to learn")
-    changed = _changes_before(table, there, changing, rules)
+    _check_zero(table, k, _changes_before(table, there, changing, rules), rules)
+
+
+def _check_zero(table: Table, k: int, changed: Flags, rules: Cleaning) -> None:
+    """Refuse a displacement that jumps, to stay, at a reading (n,) that is not `changed`."""
+    there = np.isfinite(table.values[:, k])
+    times, seen = table.times[there], table.values[there, k]
     side, steps = rules.side, np.where(changed, 0.0, np.diff(seen, prepend=seen[0]))
     # The machine moves between readings that are further apart than the rows.
-    apart = float(np.median(np.diff(table.times[there])))
+    apart = float(np.median(np.diff(times)))
     jump = rules.jump * max(1.0, apart / max(table.interval, rules.pace))
-    far = max(jump * size, rules.usual * float(np.median(np.abs(steps))))
+    far = max(jump * float(np.ptp(seen)), rules.usual * float(np.median(np.abs(steps))))
     for row in np.argsort(-np.abs(steps))[: rules.candidates]:
         before, after = seen[max(0, row - side) : row], seen[row : row + side]
         lasting = abs(float(np.median(after) - np.median(before))) if len(before) else 0.0
         if abs(steps[row]) > far and lasting > rules.lasting * abs(steps[row]):
-            hours = (table.times[there][row] - table.times[0]) / 3600.0
-            jumps = (
-                f"{column.name}: jumps by {MEGA * steps[row]:.1f} um {hours:.1f} h after the start"
-            )
+            hours, size = (times[row] - table.times[0]) / 3600.0, MEGA * steps[row]
+            jumps = f"{table.columns[k].name}: jumps by {size:.1f} um {hours:.1f} h after the start"
             value, often = _often_reached(seen, (seen[row - 1], seen[row]))
             if often > rules.stretches:
                 raise InputError(
