@@ -54,7 +54,9 @@ def write_log_picture(log: Log, path: Path) -> None:
             absolute = quantity == "temperature" and column.unit != "K"
             values = scale * log.at(column.name) - (273.15 if absolute else zero)
             drawn = _drawn(values)
-            panel.plot(hours[drawn], values[drawn], linewidth=1.0, label=column.name)
+            (curve,) = panel.plot(hours[drawn], values[drawn], linewidth=1.0, label=column.name)
+            # No line leads to a reading between missing ones.
+            curve.set(marker=".", markersize=4.0, markevery=_alone(values[drawn]).tolist())
         for begin, end in _pauses(log):
             panel.axvspan(begin, end, color="0.9", linewidth=0.0)
         # Columns in K are drawn in K: they may be above an ambient.
@@ -88,6 +90,12 @@ def _drawn(values: Array) -> NDArray[np.int64]:
     )
     begins = length * np.arange(len(stretches))
     return np.unique(np.concatenate([begins + lowest, begins + highest]))
+
+
+def _alone(values: Array) -> NDArray[np.int64]:
+    """Return the indices of values (n,) between missing ones."""
+    there = np.pad(np.isfinite(values), 1)
+    return np.flatnonzero(there[1:-1] & ~there[:-2] & ~there[2:])
 
 
 def _hours(log: Log) -> np.ndarray:

@@ -112,6 +112,19 @@ def test_a_single_misreading_and_a_pause_are_seen_in_the_picture_of_a_long_log(
     assert len(shown) <= 8000
 
 
+def test_a_reading_between_missing_ones_is_a_point_in_the_picture(command, tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(
+        "thermojoint.pictures.log.write_figure", lambda figure, path, dpi: drawn.append(figure)
+    )
+    rows = [(t, 20, t if t % 5 == 0 or t > 21 else "") for t in range(30)]
+    text = "".join(f"{t},{warm},{moved}\n" for t, warm, moved in rows)
+    (tmp_path / "log.csv").write_text("time_s,T1_degC,x_um\n" + text)
+    assert command("look", "log.csv", "--out", "log.png")[0] == 0
+    warm, moved = (panel.get_lines()[0] for panel in drawn[0].axes)
+    assert (warm.get_markevery(), moved.get_markevery()) == ([], [0, 5, 10, 15, 20])
+
+
 def test_a_look_at_no_log_ends_in_one_line_that_shows_the_value(command, tmp_path):
     (tmp_path / "log.csv").write_text("time,T1_degC\nnoon,20\n1 pm,21\n")
     code, out, err = command("look", "log.csv", "--out", "log.png")
