@@ -159,13 +159,17 @@ def _changes_of(table: Table, drives: list[str], rules: Cleaning) -> Flags:
 
 
 def _changes_before(table: Table, there: Flags, changing: Flags, rules: Cleaning) -> Flags:
-    """Return whether something has changed (k,) since the previous reading, if it is `there`.
+    """Return whether something has changed (k,) before or beside a reading, if it is `there`.
 
     A column that was not read for some time has a gap of its own.
     """
     steps = np.diff(table.times[there], prepend=-np.inf)
-    gap = steps > rules.gap * max(table.interval, float(np.median(steps)))
-    return np.asarray(gap | (np.diff(np.cumsum(changing)[there], prepend=0) > 0))
+    usual = float(np.median(steps))
+    changed = np.diff(np.cumsum(changing)[there], prepend=0) > 0
+    if usual > rules.gap * table.interval:
+        # What is beside a change in the rows is between two readings.
+        changed = np.convolve(changed, np.ones(1 + 2 * rules.beside), mode="same") > 0.0
+    return np.asarray((steps > rules.gap * max(table.interval, usual)) | changed)
 
 
 def _fault(table: Table, k: int, changes: Flags, rules: Cleaning) -> str | None:

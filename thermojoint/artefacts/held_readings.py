@@ -21,7 +21,7 @@ REPEATED = "repeated from the last reading"
 #: A value is held if it stands in so many rows at least, and a column if it is left so many times
 #: by a new reading, of so many of its smallest changes, in this part of all changes. A display that
 #: follows the machine is left by one step, or again in the next rows.
-_ROWS, _VALUES, _STEPS, _PART = 5, 3, 2.0, 0.7
+_ROWS, _VALUES, _STEPS, _PART = 3, 3, 2.0, 0.7
 
 
 def is_held(values: Array) -> bool:

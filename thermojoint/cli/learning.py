@@ -128,13 +128,17 @@ def learn(  # noqa: PLR0913 - the options of a command
 
 def _draw(model: LearnedModel, held_out: HeldOut, path: Path) -> None:
     """Draw every displacement with its estimates on the quarters of the log held out."""
+    import numpy as np
+
     from thermojoint.pictures.judged import Judged, write_judged
 
-    values = zip(*(part.T for part in held_out[1:]), strict=True)
-    panels = [
-        Judged(f"{channel.name}: each quarter by a model of the others", held_out.times, *own)
-        for channel, own in zip(model.channels, values, strict=True)
-    ]
+    panels = []
+    for k, channel in enumerate(model.channels):
+        # Displacements that are read apart have rows of their own.
+        read = np.isfinite(held_out.truth[:, k])
+        own = (values[read, k] for values in held_out[1:])
+        title = f"{channel.name}: each quarter by a model of the others"
+        panels.append(Judged(title, held_out.times[read], *own))
     write_judged(panels, path)
 
 

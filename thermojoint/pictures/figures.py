@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
 
 
 _STYLES = (
@@ -293,6 +294,13 @@ def _draw(axis: Axes, times: Array, series: Mapping[str, Array], factor: float) 
             linewidth=_NOISY_WIDTH if _is_noisy(values) else 1.2,
             label=label,
         )
+
+
+def mark_alone(curve: Line2D) -> None:
+    """Mark the points of a curve between missing ones: no line leads to them."""
+    there = np.pad(np.isfinite(np.asarray(curve.get_ydata())), 1)
+    alone = np.flatnonzero(there[1:-1] & ~there[:-2] & ~there[2:])
+    curve.set(marker=".", markersize=4.0, markevery=alone.tolist())
 
 
 def _is_noisy(values: Array) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.units import MEGA
-from thermojoint.pictures.figures import empty_grid, write_figure
+from thermojoint.pictures.figures import empty_grid, mark_alone, write_figure
 
 _HOUR = 3600.0
 
@@ -39,7 +39,8 @@ def write_judged(panels: Sequence[Judged], path: Path) -> None:
         if np.isfinite(panel.band).any():
             axis.fill_between(hours, low, high, color="C0", alpha=0.2, linewidth=0.0, label="95 %")
         axis.plot(hours, MEGA * panel.estimate, color="C0", linewidth=1.2, label="estimate")
-        axis.plot(hours, MEGA * panel.truth, color="black", linewidth=1.0, label="measured")
+        (measured,) = axis.plot(hours, MEGA * panel.truth, "black", linewidth=1.0, label="measured")
+        mark_alone(measured)
         axis.set_title(panel.title, loc="left", fontsize="medium")
         axis.set_ylabel("displacement (µm)")
         axis.grid(alpha=0.3)

@@ -11,7 +11,7 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.figures import stacked_panels
 from thermojoint.artefacts.log import Log
 from thermojoint.artefacts.quantities import Column
-from thermojoint.pictures.figures import write_figure
+from thermojoint.pictures.figures import mark_alone, write_figure
 
 #: Largest number of points of a curve in a panel.
 _POINTS = 8000
@@ -55,8 +55,7 @@ def write_log_picture(log: Log, path: Path) -> None:
             values = scale * log.at(column.name) - (273.15 if absolute else zero)
             drawn = _drawn(values)
             (curve,) = panel.plot(hours[drawn], values[drawn], linewidth=1.0, label=column.name)
-            # No line leads to a reading between missing ones.
-            curve.set(marker=".", markersize=4.0, markevery=_alone(values[drawn]).tolist())
+            mark_alone(curve)
         for begin, end in _pauses(log):
             panel.axvspan(begin, end, color="0.9", linewidth=0.0)
         # Columns in K are drawn in K: they may be above an ambient.
@@ -90,12 +89,6 @@ def _drawn(values: Array) -> NDArray[np.int64]:
     )
     begins = length * np.arange(len(stretches))
     return np.unique(np.concatenate([begins + lowest, begins + highest]))
-
-
-def _alone(values: Array) -> NDArray[np.int64]:
-    """Return the indices of values (n,) between missing ones."""
-    there = np.pad(np.isfinite(values), 1)
-    return np.flatnonzero(there[1:-1] & ~there[:-2] & ~there[2:])
 
 
 def _hours(log: Log) -> np.ndarray:

@@ -337,6 +337,11 @@ def test_a_displacement_probed_once_an_hour_is_learned(long_log):
         assert row["band_cover"] > 0.9
 
 
+def test_what_grows_between_two_readings_after_a_change_of_speed_is_no_jump():
+    log = changed(changed(LOG, "x_um", read_every(10)), "z_um", read_every(10))
+    assert learn([log], AXES, 4).channels
+
+
 def test_displacements_probed_one_after_the_other_are_all_learned(long_log):
     """As a touch probe reads them: some of the readings fall into the same minute."""
 

@@ -312,6 +312,29 @@ def test_what_takes_long_says_so(here, command):
     assert signature(console.progress_lines).parameters["first_s"].default <= 2.0
 
 
+def test_displacements_read_apart_are_drawn_over_the_same_hours(command, tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(
+        "thermojoint.pictures.judged.write_figure", lambda figure, path, dpi: drawn.append(figure)
+    )
+    log = machine_log()
+    for name, first in (("x_um", 0), ("z_um", 1)):
+        own = np.arange(len(log.times)) % 10 == first
+        log = changed(log, name, lambda values, own=own: np.where(own, values, np.nan))
+    as_csv(log, tmp_path / "log.csv")
+    made = ["--out", "model.json", "--figure", "held.png"]
+    assert command("learn", "log.csv", *LEARN, *made)[0] == 0
+    code, told = command("validate", "model.json", "log.csv", "--out", "v.png")
+    assert code == 0, told
+    for figure, points in zip(drawn, (0, 84), strict=True):
+        for panel in figure.axes:
+            hours = panel.get_lines()[1].get_xdata()
+            assert hours[0] < 1.0
+            assert 10.0 < hours[-1] < 14.0
+            # The readings of a log are points, and a curve where all rows are readings.
+            assert len(panel.get_lines()[1].get_markevery()) == points
+
+
 def test_a_displacement_along_an_axis_has_a_slope_in_every_table(command, tmp_path):
     log, _, _ = along_log(every=5)
     as_csv(log, tmp_path / "log.csv")
