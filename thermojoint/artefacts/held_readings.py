@@ -19,19 +19,27 @@ from thermojoint.artefacts.log_record import Record
 #: In the report on a log, in place of a reading.
 REPEATED = "repeated from the last reading"
 #: A value is held if it stands in so many rows at least, and a column if it is left so many times
-#: by a new reading, of so many of its smallest changes, in this part of all changes. A display that
+#: by a new reading, of so many steps of its display, in this part of all changes. A display that
 #: follows the machine is left by one step, or again in the next rows.
 _ROWS, _VALUES, _STEPS, _PART = 3, 3, 2.0, 0.7
+#: Finest step of a display, and the largest displacement, m.
+_FINEST, _LARGEST = 1e-12, 1e6
 
 
 def is_held(values: Array) -> bool:
-    """Whether values (k,), NaN where missing, are repeated from one reading to the next."""
+    """Whether values (k,), m, NaN where missing, are repeated from one reading to the next."""
     seen = values[np.isfinite(values)]
     changes = np.abs(np.diff(seen))
     at = np.flatnonzero(changes)
     rows = np.diff(at, prepend=-1)
-    new = (rows >= _ROWS) & (changes[at] >= _STEPS * changes[at].min(initial=np.inf))
+    new = (rows >= _ROWS) & (changes[at] > (_STEPS - 0.5) * _display_step(seen))
     return bool(new.sum() >= max(_VALUES, _PART * len(at)))
+
+
+def _display_step(values: Array) -> float:
+    """Return the largest length of which the differences of values (k,) are multiples, m."""
+    whole = np.rint(np.clip(values, -_LARGEST, _LARGEST) / _FINEST).astype(np.int64)
+    return _FINEST * float(np.gcd.reduce(np.diff(whole)))
 
 
 def without_repeats(pieces: Iterable[Log]) -> Iterator[Log]:

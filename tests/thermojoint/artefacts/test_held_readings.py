@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from machine_logs import along_log, as_csv, changed, machine_log
 
@@ -50,7 +50,7 @@ def test_a_line_along_an_axis_is_learned_at_the_positions_of_the_probings():
 
 
 @given(
-    step=st.floats(0.01, 2.0),
+    step=st.sampled_from([0.01, 0.02, 0.1, 0.25, 0.5, 1.0, 2.54]),
     every=st.sampled_from([1, 10, 60]),
     still=st.floats(0.0, 0.9),
     seed=st.integers(0, 100),
@@ -64,4 +64,18 @@ def test_a_coarse_display_of_a_machine_that_mostly_stands_still_is_not_held(
     moving = times > still * times[-1]
     heat = moving * (np.sin(2e-3 * times + draw.uniform(0.0, 6.0)) > 0.0)
     grown = 20.0 * pd.Series(heat).ewm(halflife=1200.0 / every).mean().to_numpy()
-    assert not is_held(step * np.round(grown / step))
+    assert not is_held(1e-6 * step * np.round(grown / step))
+
+
+@given(
+    step=st.sampled_from([0.001, 0.01, 0.1]),
+    rows=st.integers(3, 100),
+    readings=st.integers(8, 30),
+    constant=st.floats(3.0, 30.0),
+)
+def test_a_warm_up_that_is_probed_now_and_then_is_held(step, rows, readings, constant):
+    """However evenly it grows, as long as the display resolves it."""
+    grown = 200.0 * -np.expm1(-np.arange(readings) / constant)
+    shown = step * np.round(grown / step)
+    assume(np.diff(grown).min() > 2.0 * step)
+    assert is_held(1e-6 * np.repeat(shown, rows))
