@@ -146,7 +146,8 @@ def calibrate_responses(
             "distances: they belong to sensors that are named; name the probes a, b, T1 and T2"
         )
     near_source, at_joint = ([], list(sensors)) if sensors else candidates_in(reference)
-    check_probes(others, (*HEAT_SENSORS, *sensors) if sensors else (*near_source, *at_joint))
+    needed = (*HEAT_SENSORS, *sensors) if sensors else (*near_source, *at_joint)
+    check_probes(reference, others, needed)
     axes = moving_axes(reference, others)
     every = math.ceil(reference.sizes["time"] / MOST_SAMPLES)
     times = reference["time"].to_numpy()

@@ -18,7 +18,7 @@ from calibrate.source_thermal import make_geometry
 from fesim.setup.structure import body_of_candidate
 from thermojoint.artefacts import steps
 from thermojoint.artefacts.errors import InputError, unknown_name
-from thermojoint.artefacts.response import axes_of, probes_of
+from thermojoint.artefacts.response import axes_of, displaced, probes_of
 from thermojoint.models.sensors import ROLES
 
 if TYPE_CHECKING:
@@ -94,8 +94,8 @@ def check_responses(
     ------
     InputError
         They are not steps, not sampled evenly at the same times, or too few, something other than
-        the heat input acted, the power of a source is another one, or the reference lacks the
-        positions of its probes or its power.
+        the heat input acted, the power of a source or the displaced point is another one, or the
+        reference lacks the positions of its probes or its power.
     """
     check_steps(reference, others)
     check_alone(reference, f"{WHERE}, reference")
@@ -115,6 +115,7 @@ def check_responses(
     reference_power(reference)
     for level, response in others.items():
         _check_powers(reference, response, f"{WHERE}, input {level:g}")
+        _check_points(reference, response, f"{WHERE}, input {level:g}")
 
 
 def _check_powers(reference: xr.Dataset, response: xr.Dataset, where: str) -> None:
@@ -134,13 +135,32 @@ def _check_powers(reference: xr.Dataset, response: xr.Dataset, where: str) -> No
             )
 
 
-def check_probes(others: Mapping[float, xr.Dataset], needed: Sequence[str]) -> None:
-    """Refuse responses that lack a required probe of the reference."""
+def _check_points(reference: xr.Dataset, response: xr.Dataset, where: str) -> None:
+    """Refuse a step whose displacement is that of other points than in the reference."""
+    base, points = (one.attrs.get("displacement_of") for one in (reference, response))
+    if base is not None and points is not None and points != base:
+        raise InputError(
+            f"{where}: displacement of {points}, in the reference of {base}; record that of the "
+            "same points in all steps"
+        )
+
+
+def check_probes(
+    reference: xr.Dataset, others: Mapping[float, xr.Dataset], needed: Sequence[str]
+) -> None:
+    """Refuse responses in which a required probe of the reference is missing or elsewhere."""
+    positions = reference["probe_position"]
+    places = {name: positions.sel(probe=name).to_numpy().tolist() for name in needed}
     for level, response in others.items():
         known = probes_of(response)
         for probe in needed:
             if probe not in known:
                 raise unknown_name("probe", probe, known, f"{WHERE}, input {level:g}")
+        for probe, apart in displaced(response, places):
+            raise InputError(
+                f"{WHERE}, input {level:g}: probe {probe!r} is {1e3 * apart:.3g} mm from its place "
+                "in the reference; record all steps with the same thermometers"
+            )
 
 
 def reference_power(response: xr.Dataset) -> float:

@@ -20,7 +20,7 @@ from calibrate.joint_aware.readings import heat_in, run_in, ways_of
 from calibrate.joint_aware.recorded_days import is_day, shown_in, with_days
 from estimator.joint_aware.filter_design import Noise
 from estimator.joint_aware.observer_model import Calibrated, ObserverModel
-from estimator.joint_aware.readings import displaced, recorded, temperatures_in
+from estimator.joint_aware.readings import recorded, temperatures_in
 from fesim.axes.axis import Axis, place_of
 from fesim.axes.setup import MovingSetup, set_up_axes
 from fesim.case.schema import Case
@@ -30,7 +30,7 @@ from fesim.solid.elasticity import DIRECTIONS
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.display import Described
 from thermojoint.artefacts.errors import ConvergenceError, InputError
-from thermojoint.artefacts.response import columns_of, probes_of
+from thermojoint.artefacts.response import columns_of, displaced, probes_of
 from thermojoint.artefacts.units import MEGA, MILLI
 from thermojoint.reduced.axis_drive import displacement_probes, drives_on
 from thermojoint.reduced.loosened import Loosening, loosening_of

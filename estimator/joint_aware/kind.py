@@ -19,7 +19,7 @@ from estimator.joint_aware.model_file import fingerprint, read_observer
 from estimator.joint_aware.next_reading import narrowest_band, next_reading
 from estimator.joint_aware.observer_model import ObserverModel
 from estimator.joint_aware.observer_state import unpacked
-from estimator.joint_aware.readings import displaced, samples_in
+from estimator.joint_aware.readings import samples_in
 from estimator.joint_aware.sample_values import split_sample
 from estimator.kind import Cold, Kind, OnFirst, Options, Sample, followed
 from estimator.measured import announced
@@ -27,6 +27,7 @@ from estimator.ranges import Range, calibrated_ranges
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log
+from thermojoint.artefacts.response import displaced
 from thermojoint.artefacts.units import MICRO, MILLI
 
 if TYPE_CHECKING:

@@ -12,31 +12,6 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.response import columns_of, held_of, probes_of
 
-#: A thermometer further than this from a place is at another one, m.
-ELSEWHERE = 1e-3
-
-
-def displaced(
-    response: xr.Dataset, places: Mapping[str, Sequence[float]]
-) -> Iterator[tuple[str, float]]:
-    """Yield the probes of a response that are not where they should be, and how far off, m.
-
-    Parameters
-    ----------
-    response : xarray.Dataset
-        A response without positions has none that is elsewhere.
-    places : mapping of str to sequence of float
-        Probe to its position, m.
-    """
-    if "probe_position" not in response:
-        return
-    for name in probes_of(response):
-        if name in places:
-            at = response["probe_position"].sel(probe=name).to_numpy()
-            apart = float(np.linalg.norm(at - np.asarray(places[name])))
-            if apart > ELSEWHERE:
-                yield name, apart
-
 
 def ambient_in(response: xr.Dataset) -> Array:
     """Return the ambient above its initial value, K, shape (n,); zero if it is not recorded."""

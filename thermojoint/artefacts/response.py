@@ -11,7 +11,7 @@ command's start.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -129,6 +129,8 @@ VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
     "heat_balance": (("time",), "1", "heat in minus stored minus convected, relative"),
 }
 REQUIRED = ("heat_input", "temperature", "displacement")
+#: A probe further than this from a place is at another one, m.
+ELSEWHERE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -367,6 +369,28 @@ def read_response(path: Path | str) -> xr.Dataset:
 def probes_of(response: xr.Dataset) -> list[str]:
     """Return the names of the temperature probes of a response, in their order."""
     return [str(name) for name in response["probe"].to_numpy()]
+
+
+def displaced(
+    response: xr.Dataset, places: Mapping[str, Sequence[float]]
+) -> Iterator[tuple[str, float]]:
+    """Yield the probes of a response that are not where they should be, and how far off, m.
+
+    Parameters
+    ----------
+    response : xarray.Dataset
+        A response without positions has none that is elsewhere.
+    places : mapping of str to sequence of float
+        Probe to its position, m.
+    """
+    if "probe_position" not in response:
+        return
+    for name in probes_of(response):
+        if name in places:
+            at = response["probe_position"].sel(probe=name).to_numpy()
+            apart = float(np.linalg.norm(at - np.asarray(places[name])))
+            if apart > ELSEWHERE:
+                yield name, apart
 
 
 def held_of(response: xr.Dataset) -> list[str]:

@@ -113,6 +113,22 @@ def test_steps_of_sources_with_other_powers_are_refused():
         check_responses(steps.pop(1.0), steps, 2)
 
 
+def test_steps_of_displacements_of_other_points_are_refused():
+    """The case measured another point in the last run."""
+    steps = {level: response(level, displacement_of="A relative to B") for level in (0.5, 1.0)}
+    steps[2.0] = response(2.0, displacement_of="A")
+    with pytest.raises(InputError, match="input 2: displacement of A, in the reference of A rel"):
+        check_responses(steps.pop(1.0), steps, 2)
+
+
+def test_steps_with_a_thermometer_elsewhere_are_refused():
+    """The case had its T2 elsewhere in the last run."""
+    moved = others()
+    moved[2.0]["probe_position"].loc["T2"] += [0.0, 0.03, 0.0]
+    with pytest.raises(InputError, match="input 2: probe 'T2' is 30 mm from its place in the ref"):
+        chain.calibrate_responses(response(1.0), moved)
+
+
 def others(**options):
     return {level: response(level, **options) for level in (0.5, 2.0)}
 
