@@ -26,6 +26,7 @@ from fesim.axes.setup import MovingSetup, set_up_axes
 from fesim.case.schema import Case
 from fesim.setup.machine import set_up
 from fesim.setup.parts import unit_direction
+from fesim.setup.structure import displacement_of
 from fesim.solid.elasticity import DIRECTIONS
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.display import Described
@@ -124,7 +125,8 @@ def sensors_of(case: Case, responses: Mapping[str, xr.Dataset]) -> tuple[str, ..
 def warn_of_contradictions(
     case: Case, sensors: Sequence[str], responses: Mapping[str, xr.Dataset]
 ) -> None:
-    """Warn of probes and heat of sources that are not in a response as in the case."""
+    """Warn of probes, displaced points and heat that are not in a response as in the case."""
+    points = displacement_of(case)
     own = [repr(name) for name, one in case.sources.items() if one.heat_input is not None]
     places = {
         name: [MILLI * value for value in probe.position_mm]
@@ -136,6 +138,12 @@ def warn_of_contradictions(
             warnings.warn(
                 f"joint-aware: probe {name!r} of {where} is {1e3 * apart:.3g} mm from that of the "
                 "case; correct the place in the case or in the response",
+                stacklevel=3,
+            )
+        if (told := response.attrs.get("displacement_of", points)) != points:
+            warnings.warn(
+                f"joint-aware: displacement of {where} is that of {told}, in the case that of "
+                f"{points}; name the points in the case as they were measured",
                 stacklevel=3,
             )
         if own and len(case.sources) > 1 and "source_power" not in response:

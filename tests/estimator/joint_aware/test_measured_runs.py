@@ -97,6 +97,13 @@ def test_a_thermometer_that_is_elsewhere_in_the_case_is_said(case, response):
         warn_of_contradictions(case_from_data(moved, "case", Path()), SENSORS, {"run 1": response})
 
 
+def test_a_displacement_of_other_points_than_in_the_case_is_said(case, response):
+    other = copy.deepcopy(case)
+    del other["displacement"]["relative_to"]
+    with pytest.warns(UserWarning, match="run 1 is that of A relative to B, in the case that of A"):
+        warn_of_contradictions(case_from_data(other, "case", Path()), (), {"run 1": response})
+
+
 def test_heat_that_a_response_does_not_divide_among_sources_is_said(case, response):
     """One source of the case runs by itself, so that the heat input does not tell its power."""
     (source,), both = case["sources"].values(), copy.deepcopy(case)
