@@ -104,14 +104,27 @@ class JointAwareCalibration(Described):
 def sensors_of(case: Case, responses: Mapping[str, xr.Dataset]) -> tuple[str, ...]:
     """Return the probes of the case that every response has, then held surfaces likewise.
 
-    Held surfaces are read if their temperature changes.
+    Held surfaces are read if their temperature changes. A probe of the case that some responses
+    have and others lack is left out with a warning, as is one that none has if they have others
+    that the case does not name.
 
     Raises
     ------
     InputError
         There is none.
     """
-    shared = set.intersection(*(set(probes_of(response)) for response in responses.values()))
+    probes = {where: set(probes_of(response)) for where, response in responses.items()}
+    shared, known = set.intersection(*probes.values()), set.union(*probes.values())
+    unnamed = ", ".join(sorted(known - set(case.probes)))
+    for name in case.probes:
+        lacking = [where for where, one in probes.items() if name not in one]
+        if lacking and (name in known or unnamed):
+            warnings.warn(
+                f"joint-aware: probe {name!r} of the case is left out, as it is not in "
+                f"{', '.join(lacking)}; give every run its temperature"
+                + (f", or the case the name of one of {unnamed}" if unnamed else ""),
+                stacklevel=3,
+            )
     sensors = tuple(name for name in case.probes if name in shared)
     held = tuple(name for name, one in case.held_temperatures.items() if one.file is not None)
     if not sensors:

@@ -97,6 +97,29 @@ def test_a_thermometer_that_is_elsewhere_in_the_case_is_said(case, response):
         warn_of_contradictions(case_from_data(moved, "case", Path()), SENSORS, {"run 1": response})
 
 
+def test_a_thermometer_that_one_run_lacks_is_said(case, response):
+    machine, name = case_from_data(case, "case", Path()), SENSORS[-1]
+    runs = {"run 1": response, "run 2": response.drop_sel(probe=name)}
+    with pytest.warns(UserWarning, match=f"probe '{name}' of the case is left out, .* in run 2; "):
+        assert sensors_of(machine, runs) == SENSORS[:-1]
+
+
+def test_a_thermometer_of_another_name_than_in_the_case_is_said(case, response):
+    renamed = copy.deepcopy(case)
+    renamed["probes"]["T9"] = renamed["probes"].pop(SENSORS[-1])
+    machine = case_from_data(renamed, "case", Path())
+    with pytest.warns(UserWarning, match=f"'T9' .* not in run 1; .* one of {SENSORS[-1]}"):
+        assert sensors_of(machine, {"run 1": response}) == SENSORS[:-1]
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_probe_that_no_log_reads_is_no_thermometer(case, response):
+    """Such as the displaced point."""
+    tip = {"tip": case["probes"][SENSORS[0]]}
+    machine = case_from_data(case | {"probes": case["probes"] | tip}, "case", Path())
+    assert sensors_of(machine, {"run 1": response}) == SENSORS
+
+
 def test_a_displacement_of_other_points_than_in_the_case_is_said(case, response):
     other = copy.deepcopy(case)
     del other["displacement"]["relative_to"]
