@@ -15,21 +15,25 @@ from fesim.axes.axis import gone_along
 from fesim.case.schema import Case
 from fesim.setup.loads import source_power
 from fesim.solid.elasticity import DIRECTIONS
-from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.arrays import Array, Flags
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log
+from thermojoint.artefacts.log_record import PAUSE, SHORTEST_PAUSE
 from thermojoint.artefacts.response import make_response
 
 #: Fraction of the samples in which a reading may be missing.
 MOST_MISSING = 0.2
+#: After a pause a machine is cold if its largest rise is less than this share of that before.
+COOLED = 0.1
 
 
 def runs_of(log: Log, case: Case, displacement: Sequence[str]) -> dict[str, xr.Dataset]:
     """Return every run of a log as a response.
 
     A run starts at rest: its first readings are those of the cold machine, its first displacement
-    is zero. Samples with a missing reading are left out, and with a warning those with a spike of a
-    temperature or a displacement (`calibrate.learning.thinning.without_spikes`).
+    is zero. One ends where time restarts, and at a pause in which the machine has cooled. Samples
+    with a missing reading are left out, and with a warning those with a spike of a temperature or a
+    displacement (`calibrate.learning.thinning.without_spikes`).
 
     Parameters
     ----------
@@ -78,10 +82,11 @@ def runs_of(log: Log, case: Case, displacement: Sequence[str]) -> dict[str, xr.D
     ]
     there = np.array([np.isfinite(read) for _, read in needed])
     whole = np.asarray(there.all(axis=0))
-    ends = (*log.starts[1:], len(log.times))
+    starts = _starts(log, _largest_rise(np.array([*sensed.values()]), room, whole), whole)
+    ends = (*starts[1:], len(log.times))
     heat = power / sum(source_power(source) for source in case.sources.values())
     runs = {}
-    for number, (first, end) in enumerate(zip(log.starts, ends, strict=True), 1):
+    for number, (first, end) in enumerate(zip(starts, ends, strict=True), 1):
         where, kept = f"run {number}", np.flatnonzero(whole[first:end]) + first
         count = end - first
         if len(kept) < max(2, (1.0 - MOST_MISSING) * count):
@@ -112,6 +117,43 @@ def runs_of(log: Log, case: Case, displacement: Sequence[str]) -> dict[str, xr.D
             gone |= {name: read[kept] for name, read in ways.items()}
             runs[where] = _with(runs[where], "axis_way", "moving_axis", gone, "m")
     return runs
+
+
+def _largest_rise(sensed: Array, room: Array | None, whole: Flags) -> Array:
+    """Largest difference (n,) of p temperatures (p, n) from a cold machine, K; 0 if not `whole`."""
+    cold = np.median(sensed[:, np.argmax(whole)]) if room is None else room
+    return np.where(whole, np.abs(sensed - cold).max(axis=0), 0.0)
+
+
+def _starts(log: Log, rise: Array, whole: Flags) -> list[int]:
+    """Return the rows at which a run starts: where time restarts, and cold after a pause.
+
+    What the heat was in a pause is unknown; a value after it would count for all of it.
+
+    Parameters
+    ----------
+    log : Log
+        n rows.
+    rise : ndarray, shape (n,)
+        Largest difference of a temperature from that of the cold machine, K.
+    whole : ndarray of bool, shape (n,)
+        Whether all readings of a row are there.
+    """
+    starts: list[int] = []
+    for first, end in zip(log.starts, (*log.starts[1:], len(log.times)), strict=True):
+        starts.append(first)
+        for row in (first + after for after in _after_pauses(log.times[first:end])):
+            there = np.flatnonzero(whole[row:end])
+            if there.size and rise[row + there[0]] < COOLED * rise[starts[-1] : row].max():
+                starts.append(row)
+    return starts
+
+
+def _after_pauses(times: Array) -> list[int]:
+    """Return the rows of a run that follow a pause, from its times (n,), s."""
+    steps = np.diff(times)
+    usual = float(np.median(steps)) if steps.size else 0.0
+    return (np.flatnonzero(steps > max(PAUSE * usual, SHORTEST_PAUSE)) + 1).tolist()
 
 
 def _with(

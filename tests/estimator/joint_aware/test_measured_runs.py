@@ -64,6 +64,38 @@ def test_a_run_of_a_log_is_the_response_that_was_measured(case, response, tmp_pa
     assert one["displacement"].sel(axis=["x", "y"]).to_numpy() == pytest.approx(moved, abs=1e-11)
 
 
+def with_pause(path, after, seconds, warm=0):
+    """The log with a pause after some rows, then all rows but the first `warm` again."""
+    header, first, *rows = path.read_text("utf-8").splitlines()
+    # Power is on when the logger is switched on.
+    rows = [",".join([*first.split(",")[:1], rows[0].split(",")[1], *first.split(",")[2:]]), *rows]
+    begun = float(rows[after - 1].split(",")[0]) + seconds - float(rows[warm].split(",")[0])
+    again = [row.partition(",") for row in rows[warm:]]
+    more = [f"{float(time) + begun:.9g},{rest}" for time, _, rest in again]
+    path.write_text("\n".join([header, *rows[:after], *more]), encoding="utf-8")
+    return path
+
+
+def test_after_a_pause_in_which_the_machine_cools_it_starts_from_rest_again(
+    case, response, tmp_path
+):
+    """The heat of the first row after a night would have counted for the night."""
+    count = response.sizes["time"]
+    path = with_pause(log_of(response, tmp_path / "log.csv"), count, 86400.0)
+    found = runs_of(read_log([path]), case_from_data(case, "case", Path()), ["x_um", "y_um"])
+    assert list(found) == ["run 1", "run 2"]
+    for variable in ("time", "temperature", "displacement", "heat_input"):
+        one, again = (run[variable].to_numpy() for run in found.values())
+        assert again == pytest.approx(one, abs=1e-9)
+
+
+def test_rows_that_are_missing_on_a_warm_machine_make_no_run(case, response, tmp_path):
+    half = response.sizes["time"] // 2
+    path = with_pause(log_of(response, tmp_path / "log.csv"), half, 600.0, warm=half)
+    found = runs_of(read_log([path]), case_from_data(case, "case", Path()), ["x_um", "y_um"])
+    assert list(found) == ["run 1"]
+
+
 def test_misread_samples_are_left_out_with_a_warning(case, response, tmp_path):
     """One at the start would be the zero of its displacement in the whole run."""
     path = log_of(response, tmp_path / "log.csv")
