@@ -22,6 +22,7 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError, unknown_name
 from thermojoint.artefacts.files import write_bytes
 from thermojoint.artefacts.netcdf import Variable, netcdf_bytes
+from thermojoint.artefacts.schema import HDF5
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -349,6 +350,12 @@ def read_response(path: Path | str) -> xr.Dataset:
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path}: no such file; give a response written by 'thermojoint simulate'")
+    with path.open("rb") as file:
+        if file.read(len(HDF5)) != HDF5:
+            raise InputError(
+                f"{path}: no response (NetCDF); give one written by 'thermojoint simulate', or "
+                "make one of a log with make_response"
+            )
     import xarray as xr
 
     try:

@@ -105,6 +105,14 @@ def test_samples_without_times_are_refused(tmp_path):
         read_response(path)
 
 
+def test_a_log_in_place_of_a_response_is_called_none(tmp_path):
+    """It was called truncated, with the advice to simulate it again."""
+    path = tmp_path / "log.csv"
+    path.write_text("time_s,a_degC,x_um\n0,20.1,0\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"log.csv: no response \(NetCDF\); .* with make_response"):
+        read_response(path)
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
