@@ -12,7 +12,9 @@ from estimator.interface import Estimator, follow
 from estimator.lines import here
 from estimator.noise import with_noise
 from estimator.rows import Row, figures_of
+from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.log import Log
 from thermojoint.artefacts.response import columns_of
 from thermojoint.artefacts.units import MEGA
 
@@ -21,6 +23,8 @@ if TYPE_CHECKING:
 
     from thermojoint.models.baselines import Baselines
 
+#: Logs, each with displacements of an estimator and their columns in it.
+JudgedIn = Sequence[tuple[Log, Sequence[tuple[str, str]]]]
 #: Name of a table to its rows, as content of a JSON file; ``rows`` are the errors.
 Figures = dict[str, list[Row]]
 
@@ -115,3 +119,71 @@ def judge(
         | {name: float(values[k]) for name, values in (peaks | figures).items()}
         for k, axis in enumerate(estimator.axes)
     ]
+
+
+def judge_log(
+    case: str,
+    estimator: Estimator,
+    judged: JudgedIn,
+    samples: Callable[[Log], Iterable[Sequence[float]]],
+) -> list[dict[str, str | float]]:
+    """Run an estimator through every run of some logs and judge it by their displacements.
+
+    Parameters
+    ----------
+    case : str
+        Name for the rows.
+    estimator : Estimator
+        Of any kind.
+    judged : sequence of (Log, pairs)
+        Logs, each with displacements of the estimator and their columns in it.
+    samples : callable
+        A run to its samples, one for each row.
+
+    Returns
+    -------
+    list of dict
+        For each displacement of each run. ``rms_error_um`` uses the zero of the log; for
+        ``rms_error_zeroed_um`` the estimate at the first reading is its zero, also for the
+        uncompensated error. ``flagged`` is the share of samples whose status is not ok.
+
+    Raises
+    ------
+    InputError
+        A displacement was never read.
+    """
+    rows: list[dict[str, str | float]] = []
+    for whole, pairs in judged:
+        runs = list(whole.runs())
+        for number, part in enumerate(runs, 1):
+            found = [one for _, one in follow(estimator, samples(part), estimator.initial_state())]
+            moved, band = here(estimator.axes, estimator.details, found)
+            flagged = float(np.mean([one.status.words != "ok" for one in found]))
+            name = case if len(runs) == 1 else f"{case}, run {number}"
+            for axis, column in pairs:
+                c = estimator.axes.index(axis)
+                errors = _errors(f"{name}: {column}", part.at(column), moved[:, c], band[:, c])
+                own = {"case": name, "estimator": estimator.kind, "axis": column}
+                rows.append({**own, **errors, "flagged": flagged})
+    return rows
+
+
+def _errors(where: str, actual: Array, estimate: Array, band: Array) -> dict[str, float]:
+    """Errors of an estimate, (n,) m, where there is a reading."""
+    there = np.isfinite(actual) & np.isfinite(estimate)
+    if not there.any():
+        raise InputError(f"{where} has no value; record it, or leave the column out")
+    actual = actual[there]
+    error = estimate[there] - actual
+
+    def rms(values: Array) -> float:
+        return float(MEGA * np.sqrt(np.mean(values**2)))
+
+    return {
+        "rms_error_um": rms(error),
+        "max_abs_error_um": float(MEGA * np.abs(error).max()),
+        "rms_uncompensated_um": rms(actual),
+        "rms_error_zeroed_um": rms(error - error[0]),
+        "rms_uncompensated_zeroed_um": rms(actual - actual[0]),
+        "band_cover": float(np.mean(np.abs(error) <= band[there])),
+    }

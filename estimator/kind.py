@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
@@ -19,7 +20,7 @@ import numpy as np
 from estimator.columns import named_in, samples_of
 from estimator.intake import Intake, by_channels
 from estimator.interface import READING_NOISE, Estimator, NextReading, follow
-from estimator.judging import Conditions, Figures, judge_responses
+from estimator.judging import Conditions, Figures, JudgedIn, judge_responses
 from estimator.lines import Stroke
 from estimator.ranges import Range
 from thermojoint.artefacts.arrays import Array
@@ -84,9 +85,6 @@ class Options:
         return READING_NOISE if self.reading_noise is None else self.reading_noise
 
 
-#: Logs, each with displacements of an estimator and their columns in it.
-JudgedIn = Sequence[tuple[Log, Sequence[tuple[str, str]]]]
-
 M = TypeVar("M")
 E = TypeVar("E", bound=OpenedEstimator)
 
@@ -147,9 +145,26 @@ def _judged(
     )
 
 
-def _judged_in(case: str, estimator: OpenedEstimator, log: Log) -> JudgedIn:
-    same = named_in(estimator.axes, log)
-    return [(log, same)] if same else []
+def judged_from_rest(case: str, estimator: OpenedEstimator, log: Log) -> JudgedIn:
+    """Return a log whose displacements are zero where each run is read first, and their columns.
+
+    Raises
+    ------
+    InputError
+        None of the estimator's displacements is in the log.
+    """
+    names = [f"{axis}_um" for axis in estimator.axes]
+    same = dict(zip(names, estimator.axes, strict=True))
+    pairs = [(same[name], column) for name, column in named_in(names, log)]
+    if not pairs:
+        raise InputError(f"{case}: no column of {', '.join(names)} to judge by")
+    values = log.values.copy()
+    for k in (log.index(column) for _, column in pairs):
+        for first, end in pairwise((*log.starts, len(log.times))):
+            read = np.flatnonzero(np.isfinite(values[first:end, k]))
+            if read.size:
+                values[first:end, k] -= values[first + read[0], k]
+    return [(replace(log, values=values), pairs)]
 
 
 @dataclass(frozen=True)
@@ -202,7 +217,7 @@ class Kind(Generic[M, E]):
     #: (model, name to log) to errors; None for a kind judged by responses only.
     judge_logs: Callable[[M, Mapping[str, Log]], Figures] | None = None
     #: (name of a log, estimator, log) to the logs and columns that it is judged by.
-    judged_in: Callable[[str, E, Log], JudgedIn] = _judged_in
+    judged_in: Callable[[str, E, Log], JudgedIn] = judged_from_rest
     #: (estimator, state, sample as `channels`) to reading minus model, NaN where missing.
     residuals: Callable[[E, Array, Array], Array] | None = None
     #: (estimator, state, largest half-band m) to the displacement reading to take, or None.

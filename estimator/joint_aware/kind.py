@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,7 +21,8 @@ from estimator.joint_aware.observer_model import ObserverModel
 from estimator.joint_aware.observer_state import unpacked
 from estimator.joint_aware.readings import samples_in
 from estimator.joint_aware.sample_values import split_sample
-from estimator.kind import Cold, Kind, OnFirst, Options, Sample, followed
+from estimator.judging import Figures, judge_log
+from estimator.kind import Cold, Kind, OnFirst, Options, Sample, followed, judged_from_rest
 from estimator.measured import announced
 from estimator.ranges import Range, calibrated_ranges
 from thermojoint.artefacts.arrays import Array
@@ -163,6 +164,18 @@ def _run(
     return estimator.whole_run(np.array(list(samples)), state)
 
 
+def _judge_logs(model: ObserverModel, logs: Mapping[str, Log]) -> Figures:
+    estimator = _start(model, Options())
+
+    def judged(name: str, log: Log) -> list[dict[str, str | float]]:
+        def samples(run: Log) -> Iterator[Sample]:
+            return _log(model, [run], name, None, Cold())
+
+        return judge_log(name, estimator, judged_from_rest(name, estimator, log), samples)
+
+    return {"rows": [row for name, log in logs.items() for row in judged(name, log)]}
+
+
 KIND: Kind[ObserverModel, JointAwareEstimator] = Kind(
     name="a joint-aware model",
     read=read_observer,
@@ -178,6 +191,7 @@ KIND: Kind[ObserverModel, JointAwareEstimator] = Kind(
     sensors=lambda model, response: model.sensors,
     run=_run,
     ranges=_ranges,
+    judge_logs=_judge_logs,
     residuals=_residuals,
     next_reading=_next_reading,
     narrowest_band=lambda estimator: narrowest_band(_not_learning(estimator)),

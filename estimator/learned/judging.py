@@ -8,6 +8,7 @@ import numpy as np
 
 from estimator.columns import named_in, samples_of
 from estimator.interface import follow
+from estimator.judging import judge_log
 from estimator.learned.estimator import Learned
 from estimator.lines import here
 from estimator.probe_readings import with_probe_readings
@@ -15,7 +16,6 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log
 from thermojoint.artefacts.quantities import Column, fixed_positions, place_of
-from thermojoint.artefacts.units import MEGA
 
 
 def run(estimator: Learned, log: Log, every: float | None = None) -> tuple[Array, Array, list[str]]:
@@ -78,40 +78,7 @@ def judge(case: str, estimator: Learned, log: Log) -> list[dict[str, str | float
     judged = judged_in(case, estimator, log)
     if not judged:
         raise InputError(f"{case}: no column of {', '.join(estimator.axes)} to judge by")
-    rows: list[dict[str, str | float]] = []
-    for whole, pairs in judged:
-        runs = list(whole.runs())
-        for number, part in enumerate(runs):
-            estimate, band, words = run(estimator, part)
-            beyond = float(np.mean([status != "ok" for status in words]))
-            name = case if len(runs) == 1 else f"{case}, run {number + 1}"
-            for axis, column in pairs:
-                c = estimator.axes.index(axis)
-                own = _row(name, estimator, column, estimate[:, c], band[:, c], part)
-                rows.append(own | {"flagged": beyond})
-    return rows
-
-
-def _row(
-    case: str, estimator: Learned, axis: str, estimate: Array, band: Array, log: Log
-) -> dict[str, str | float]:
-    there = np.isfinite(log.at(axis)) & np.isfinite(estimate)
-    if not there.any():
-        raise InputError(f"{case}: {axis} has no value; record it, or leave the column out")
-    actual = log.at(axis)[there]
-    error = estimate[there] - actual
-
-    def rms(values: Array) -> float:
-        return float(MEGA * np.sqrt(np.mean(values**2)))
-
-    return {
-        "case": case,
-        "estimator": estimator.kind,
-        "axis": axis,
-        "rms_error_um": rms(error),
-        "max_abs_error_um": float(MEGA * np.abs(error).max()),
-        "rms_uncompensated_um": rms(actual),
-        "rms_error_zeroed_um": rms(error - error[0]),
-        "rms_uncompensated_zeroed_um": rms(actual - actual[0]),
-        "band_cover": float(np.mean(np.abs(error) <= band[there])),
-    }
+    model = estimator.model
+    return judge_log(
+        case, estimator, judged, lambda run: samples_of(model.columns, [run], model.positions)
+    )

@@ -423,6 +423,8 @@ def validate(  # noqa: PLR0913 - the options of a command
     Example: [bold]thermojoint validate model.json triangle.nc --noise-pp 0.12 --seed 1[/bold]
 
     Example: [bold]thermojoint validate learned.json another_day.csv --out day.png[/bold]
+
+    A joint-aware model takes responses or logs, which are measured from the start of each run.
     """
     from estimator.judging import Conditions
     from estimator.kind import Options
@@ -449,9 +451,11 @@ def validate(  # noqa: PLR0913 - the options of a command
         raise InputError("validate: two files have the same name; rename one")
     kind = kind_of_file(model)
     given = kind.read(model)
-    if kind.judge is None:
+    given_logs = kind.judge_logs is not None and all(path.suffix != ".nc" for path in data)
+    if kind.judge is None or given_logs:
         beside = {"--reference": reference, "--noise-pp": noise_pp, "--baselines": baselines}
-        arguments.check_taken(kind.name, {name: (value, False) for name, value in beside.items()})
+        what = kind.name if kind.judge is None else "a log"
+        arguments.check_taken(what, {name: (value, False) for name, value in beside.items()})
         if kind.judge_logs is None:
             raise InputError(f"validate: {kind.name} cannot be judged; estimate with it instead")
         renamed = over(kind.renamed(given), renamed_by(column, mapping))

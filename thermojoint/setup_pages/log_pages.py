@@ -203,7 +203,7 @@ def do_compare(place: Place, given: Given) -> None:
         if not own and place.has(MAPPING):
             mapping = [f"--mapping={MAPPING}"]
         columns = columns_of(place.path(day), own or _renamed(place))
-        judged = kind.judge_logs is not None and any(c.quantity == "length" for c in columns)
+        judged = kind.judge_logs is not None and any(_is_displacement(c.name) for c in columns)
     estimate = ["estimate", model, day, *mapping, "--out=estimate.csv"]
     picture = [] if response else ["--out=truth.png"]
     validate = [["validate", model, day, *mapping, *picture]] if judged else []

@@ -778,6 +778,32 @@ def test_the_command_line_estimates_and_validates_with_a_model_file(estimator, r
     assert max(row["max_abs_error_um"] for row in found) < 0.05
 
 
+def test_a_log_judges_a_model_as_its_response_does(estimator, response, tmp_path):
+    """Whatever zero its displacements have, and where these are read in few of its rows."""
+    write_observer(estimator.model, tmp_path / "model.h5")
+    part = response.isel(time=slice(0, 60))
+    write_response(part, tmp_path / "run.nc")
+    warm = 21.5 + part["temperature"].sel(probe=list(SENSORS)).to_numpy()
+    moved = 1e6 * part["displacement"].sel(axis=["x", "y"]).to_numpy() + [30.0, -7.0]
+    head = ["time_s", *(f"{name}_degC" for name in SENSORS), "ambient_degC", "x_um", "y_um"]
+    table = np.column_stack((part["time"], warm, np.full(60, 21.5), moved))
+    rows = [[f"{one:.9g}" for one in row] for row in table]
+    sparse = [row if k % 10 == 0 else [*row[:-2], "", ""] for k, row in enumerate(rows)]
+    found = {}
+    for name, lines in (("run.nc", None), ("full.csv", rows), ("sparse.csv", sparse)):
+        if lines:
+            text = "\n".join(",".join(line) for line in [head, *lines])
+            (tmp_path / name).write_text(text + "\n")
+        command("validate", tmp_path / "model.h5", tmp_path / name, "--json", tmp_path / "v.json")
+        judged = json.loads((tmp_path / "v.json").read_text())["rows"]
+        found[name] = np.array([row["max_abs_error_um"] for row in judged])
+    assert found["full.csv"] == pytest.approx(found["run.nc"], abs=1e-5)
+    assert (found["sparse.csv"] <= found["run.nc"] + 1e-5).all()
+    picture = tmp_path / "truth.png"
+    command("validate", tmp_path / "model.h5", tmp_path / "sparse.csv", "--out", picture)
+    assert picture.stat().st_size > 1000
+
+
 def test_calibrating_without_a_machine_is_refused(tmp_path, response):
     run_file = tmp_path / "run.nc"
     write_response(response, run_file)
