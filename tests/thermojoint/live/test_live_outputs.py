@@ -313,6 +313,17 @@ def test_values_of_one_time_are_one_arrival_in_the_order_of_time():
     ]
 
 
+def test_of_two_values_of_a_variable_at_one_time_the_last_counts():
+    """As in every source, whether or not a server sends them in one message."""
+
+    def at_one_time(value):
+        return Arrival("mill", 1.0, [value, None], 0.0)
+
+    for first, last in ((21.0, 22.0), (math.nan, 22.0)):
+        found = opcua.in_order([at_one_time(first), at_one_time(last)])
+        assert [list(one.readings) for one in found] == [[last, None]]
+
+
 @pytest.mark.parametrize(
     ("quality", "number", "status", "code"),
     [

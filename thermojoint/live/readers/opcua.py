@@ -185,7 +185,8 @@ class OpcuaReader:
 def in_order(items: Iterable[Arrival | Note]) -> list[Arrival | Note]:
     """Return values in the order of time; values of one machine and time become one arrival.
 
-    A server sends all values of one variable, then all of the next.
+    A server sends all values of one variable, then all of the next; of two at one time the last
+    counts.
     """
     ordered: list[Arrival | Note] = []
     merged: dict[tuple[str, float], Arrival] = {}
@@ -204,7 +205,7 @@ def in_order(items: Iterable[Arrival | Note]) -> list[Arrival | Note]:
 
 
 def _merged(first: Sequence[float | None], second: Sequence[float | None]) -> list[float | None]:
-    return [b if a is None else a for a, b in zip(first, second, strict=True)]
+    return [a if b is None else b for a, b in zip(first, second, strict=True)]
 
 
 class _Handler:
