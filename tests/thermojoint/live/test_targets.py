@@ -92,6 +92,31 @@ def test_a_writer_that_is_cancelled_as_a_value_arrives_ends(tmp_path, monkeypatc
     assert asyncio.run(live())
 
 
+@pytest.mark.parametrize(("kind", "asked"), [("sinumerik", "250.1234"), ("beckhoff", "2501234")])
+def test_the_value_that_a_control_is_to_be_set_to_is_said_in_full(kind, asked, tmp_path):
+    """Whoever sets it to what is said has set it right."""
+    more = "[slopes.Z]\nreference_mm = 250.1234\nstroke_mm = [0.0, 500.0]\n"
+    given = Played(tmp_path / "target.toml", kind, STEP_UM, more=more).given
+    held = {
+        given.node(given.control.switch, "Z"): given.control.with_slope,
+        given.node(given.control.slope, "Z"): 0.0,
+        given.node(given.control.reference, "Z"): 0.0,
+    }
+
+    class Answering:
+        def get_node(self, name):
+            return name
+
+        async def read_values(self, nodes):
+            return [held[node] for node in nodes]
+
+    writer = writing.TargetWriter("mill", ("Z",), given, None, None, None, None)
+    with pytest.raises(InputError, match=f"is 0; set it to {asked} while"):
+        asyncio.run(writer._check(Answering()))
+    held[given.node(given.control.reference, "Z")] = float(asked)
+    asyncio.run(writer._check(Answering()))
+
+
 def test_a_single_write_changes_a_value_by_no_more_than_its_limit():
     path = [0.0]
     while path[-1] != -0.012:

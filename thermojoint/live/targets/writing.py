@@ -102,8 +102,8 @@ class TargetWriter:
                 (found,) = await self._read(client, [Write(quantity, name, 0.0)])
                 if abs(found - value) > 1e-3 * quantity.step:
                     raise InputError(
-                        f"{quantity.name} of axis {name} is {found:g}; set it to {value:g} while "
-                        "the machine stands"
+                        f"{quantity.name} of axis {name} is {found:.10g}; set it to {value:.10g} "
+                        "while the machine stands"
                     )
 
     async def _write_offsets(self, client: Client) -> None:
@@ -157,7 +157,7 @@ class TargetWriter:
     async def _write(self, client: Client, writes: Sequence[Write], goals: Sequence[float]) -> None:
         for (quantity, name, _), goal in zip(writes, goals, strict=True):
             node = self.given.node(quantity, name)
-            what, value = f"write {node}", f" = {goal:g}"
+            what, value = f"write {node}", f" = {goal:.10g}"
             self.audit.written("service", self.given.url, what, self.machine, value)
             kind = ua.VariantType.Int32 if quantity.whole else ua.VariantType.Double
             value = ua.Variant(int(goal) if quantity.whole else goal, kind)
@@ -170,7 +170,8 @@ class TargetWriter:
         """Log the writes that would be made, at the limited rate of the log."""
         for (quantity, name, _), now, goal in zip(writes, found, goals, strict=True):
             node = self.given.node(quantity, name)
-            self._log("dry-run", f"would write {node} = {goal:g} {quantity.unit}, is {now:g}")
+            values = f"{goal:.10g} {quantity.unit}, is {now:.10g}"
+            self._log("dry-run", f"would write {node} = {values}")
 
     def _log(self, kind: str, text: str) -> None:
         self.fleet.log.say(time.time(), kind, text, self.machine)
