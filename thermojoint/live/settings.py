@@ -428,10 +428,21 @@ def _check_pattern(
         raise InputError(
             f"{where}.{key}: feeds {len(fed)} machines; write {{machine}} in place of their names"
         )
+    if isinstance(source, MqttSource):
+        _check_topic(f"{where}.topic", pattern)
     if isinstance(source, OpcuaSource) and "{reading}" not in pattern:
         raise InputError(f"{where}.node: write {{reading}} in place of the name of a reading")
     if isinstance(source, MtconnectSource) and not _HTTP.fullmatch(source.url):
         raise InputError(f"{where}.url: {source.url!r} is none; give https://HOST:PORT")
+
+
+def _check_topic(where: str, topic: str) -> None:
+    """Refuse a topic that MQTT does not let a message have."""
+    if not topic or set(topic) & set("+#"):
+        raise InputError(
+            f"{where}: {topic!r}: a topic has a name at every level, without + and #; write "
+            "{machine} in place of the names of machines"
+        )
 
 
 def _check_clients(where: str, given: ServiceFile) -> None:
@@ -460,10 +471,14 @@ def _check_clients(where: str, given: ServiceFile) -> None:
 
 
 def _check_topics(where: str, given: ServiceFile, machines: Mapping[str, MachineSection]) -> None:
-    """Refuse a topic for the messages of several machines or of their controls."""
+    """Refuse a topic that is none, or that is for several machines or their controls."""
+    if given.mqtt is None:
+        return
+    for key in ("topic", "control_topic", "heartbeat_topic", "status_topic"):
+        _check_topic(f"{where}.{key}", getattr(given.mqtt, key))
     answering = [one for one in machines.values() if one.handshake and one.handshake.by == "mqtt"]
     for key, count in (("topic", len(machines)), ("control_topic", len(answering))):
-        if given.mqtt and count > 1 and "{machine}" not in getattr(given.mqtt, key):
+        if count > 1 and "{machine}" not in getattr(given.mqtt, key):
             raise InputError(
                 f"{where}.{key}: is for {count} machines; write {{machine}} in place of their names"
             )

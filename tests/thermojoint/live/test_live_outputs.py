@@ -72,6 +72,16 @@ def test_any_topic_is_of_a_machine_or_a_note(topic):
     assert isinstance(found, Arrival) == (topic == "hall/mill")
 
 
+def test_a_topic_may_name_its_machine_and_its_reading_twice():
+    source = MqttSource(kind="mqtt", topic="{machine}/{reading}/{machine}_{reading}")
+    topics = mqtt.topics_of(source, {"mill": NAMES})
+    payload = b'{"time": 1, "value": 2}'
+    found = mqtt.item_of(topics, "mill/T2_degC/mill_T2_degC", payload)
+    assert (found.machine, found.readings) == ("mill", [None, 2.0])
+    assert topics.filter == "+/+/+"
+    assert isinstance(mqtt.item_of(topics, "mill/T2_degC/lathe_T2_degC", payload), Note)
+
+
 def pipe_of(path, *names, **source_names):
     """A pipe that ends with its file."""
     named = {name: name for name in names} | source_names

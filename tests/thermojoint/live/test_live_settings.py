@@ -132,6 +132,9 @@ def test_names_of_files_are_relative_to_the_file_of_the_service(tmp_path):
             each_its_own(kind="csv", path="-"),
             "sources.lathe.path: sources.mill reads standard input as well",
         ),
+        (source(kind="mqtt", topic="hall/+/{machine}"), "sources.s.topic: 'hall/+/{machine}'"),
+        ({"mqtt": {"topic": "{machine}/#"}}, "mqtt.topic: '{machine}/#': a topic has"),
+        ({"mqtt": {"status_topic": ""}}, "mqtt.status_topic: '': a topic has"),
         ({"mqtt": {"topic": "estimates"}}, "mqtt.topic: is for 3 machines; write {machine}"),
         (
             shaking("mqtt", models=OFFSETS, mqtt={"control_topic": "plc"}, count=2),

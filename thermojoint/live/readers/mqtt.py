@@ -177,9 +177,12 @@ def mqtt_reader(source: MqttSource, names: Mapping[str, tuple[str, ...]]) -> Mqt
 
 def topics_of(source: MqttSource, names: Mapping[str, tuple[str, ...]]) -> Topics:
     """Return the topics of a source."""
-    groups = {"{machine}": "(?P<machine>[^/+#]+)", "{reading}": "(?P<reading>[^/+#]+)"}
-    parts = re.split(r"(\{machine\}|\{reading\})", source.topic)
-    pattern = re.compile("".join(groups.get(part, re.escape(part)) for part in parts))
+    pattern = re.escape(source.topic)
+    for name in ("machine", "reading"):
+        # Where a name stands again it is the same.
+        first, *again = pattern.split(re.escape(f"{{{name}}}"))
+        rest = f"(?P={name})".join(again)
+        pattern = f"{first}(?P<{name}>[^/+#]+){rest}" if again else first
     # A level with a placeholder matches any level.
     levels = ("+" if "{" in level else level for level in source.topic.split("/"))
-    return Topics(pattern, "/".join(levels), dict(names), source.largest_message)
+    return Topics(re.compile(pattern), "/".join(levels), dict(names), source.largest_message)
