@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sqlite3
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from heapq import merge
@@ -17,17 +17,22 @@ from numpy.typing import NDArray
 
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
-from thermojoint.live.publication import Columns, Layout, Publication, columns_of, from_row
+from thermojoint.live.publication import Columns, Layout, Publication, columns_of, fitted, from_row
 from thermojoint.live.store import IN_NO_CHUNK, Event, Gap, expanded_runs, layout_from
 
 #: Largest number of rows in one answer.
 MOST_ROWS = 20_000
 
 
+#: Eras of a machine, oldest first, with the layout of each.
+Eras = Mapping[int, Layout]
+
+
 @dataclass(frozen=True)
 class History:
     """Samples of a machine in a time span, oldest first."""
 
+    #: Of the last era; NaN where an earlier one lacks a value.
     layout: Layout
     #: The samples whose number is a multiple of `every`.
     columns: Columns
@@ -58,11 +63,11 @@ class Archive:
         at_most = max(1, min(at_most, MOST_ROWS))
         with self._reading() as store:
             eras, layout = _eras(store, machine)
-            recent = _journal(store, eras)
+            recent = _journal(store, eras, layout)
             total = _count(store, eras, (since, until))
             total += sum(bool(since <= row[0] <= until) for _, row, _ in recent)
             every = max(1, -(-total // at_most))
-            chunks = _chunks(store, eras, (since, until))
+            chunks = _chunks(store, eras, layout, (since, until))
             parts = [_thinned(*chunk, every) for chunk in chunks]
             parts += [
                 (np.array([number]), row[None, :], [status])
@@ -104,7 +109,7 @@ class Archive:
         since, until = span
         with self._reading() as store:
             eras, layout = _eras(store, machine)
-            rows = _in_order(store, eras, span, newest_first)
+            rows = _in_order(store, eras, layout, span, newest_first)
             within = (one for one in rows if since <= one[1][0] <= until)
             return [
                 from_row(machine, number, layout, row, status)
@@ -192,34 +197,38 @@ def _unknown(machine: str) -> InputError:
     return InputError(f"history: no machine named {machine!r}; take one of the service file")
 
 
-def _eras(store: sqlite3.Connection, machine: str) -> tuple[list[int], Layout]:
-    """Return the eras of a machine with the columns of its last one, oldest first."""
+def _eras(store: sqlite3.Connection, machine: str) -> tuple[Eras, Layout]:
+    """Return the eras of a machine, and the layout of the last one."""
     eras = store.execute(
         "SELECT id, layout FROM eras WHERE machine = ? ORDER BY id", (machine,)
     ).fetchall()
     if not eras:
         raise _unknown(machine)
-    last = eras[-1][1]
-    return [era for era, layout in eras if layout == last], layout_from(last)
+    layouts = {era: layout_from(text) for era, text in eras}
+    return layouts, layouts[eras[-1][0]]
 
 
-def _journal(store: sqlite3.Connection, eras: list[int]) -> list[tuple[int, Array, str]]:
+def _journal(store: sqlite3.Connection, eras: Eras, layout: Layout) -> list[tuple[int, Array, str]]:
     """Return number, row and status of the samples that are in no chunk yet."""
     marks = ",".join("?" * len(eras))
     found = store.execute(
-        f"SELECT number, row, status FROM journal WHERE era IN ({marks}) AND {IN_NO_CHUNK} "
+        f"SELECT era, number, row, status FROM journal WHERE era IN ({marks}) AND {IN_NO_CHUNK} "
         "ORDER BY id",
-        eras,
+        tuple(eras),
     )
-    return [(number, np.frombuffer(row, dtype="<f8"), status) for number, row, status in found]
+    return [
+        (number, fitted(np.frombuffer(row, dtype="<f8")[None], eras[era], layout)[0], status)
+        for era, number, row, status in found
+    ]
 
 
-def _count(store: sqlite3.Connection, eras: list[int], span: tuple[float, float]) -> int:
+def _count(store: sqlite3.Connection, eras: Iterable[int], span: tuple[float, float]) -> int:
     """Return the number of samples of the chunks in a span.
 
     A chunk may be much longer than the span: a backlog that was read at once is one chunk.
     """
-    marks, (since, until) = ",".join("?" * len(eras)), span
+    (since, until), eras = span, tuple(eras)
+    marks = ",".join("?" * len(eras))
     whole = "first >= ? AND last <= ?"
     (count,) = store.execute(
         f"SELECT coalesce(sum(count), 0) FROM chunks WHERE era IN ({marks}) AND {whole}",
@@ -237,33 +246,42 @@ def _count(store: sqlite3.Connection, eras: list[int], span: tuple[float, float]
 
 
 def _chunks(
-    store: sqlite3.Connection, eras: list[int], span: tuple[float, float], order: str = "ASC"
+    store: sqlite3.Connection,
+    eras: Eras,
+    layout: Layout,
+    span: tuple[float, float],
+    order: str = "ASC",
 ) -> Iterator[tuple[int, Array, list[str]]]:
     """Yield first number, rows and status of each row of the chunks that reach into a span."""
     marks = ",".join("?" * len(eras))
-    for number, count, rows, status in store.execute(
-        f"SELECT number, count, rows, status FROM chunks WHERE era IN ({marks}) "
+    for era, number, count, rows, status in store.execute(
+        f"SELECT era, number, count, rows, status FROM chunks WHERE era IN ({marks}) "
         f"AND first <= ? AND last >= ? ORDER BY first {order}",
         (*eras, span[1], span[0]),
     ):
         table = np.frombuffer(rows, dtype="<f8").reshape(count, -1)
-        yield number, table, expanded_runs(json.loads(status), count)
+        yield number, fitted(table, eras[era], layout), expanded_runs(json.loads(status), count)
 
 
 def _in_order(
-    store: sqlite3.Connection, eras: list[int], span: tuple[float, float], newest_first: bool
+    store: sqlite3.Connection,
+    eras: Eras,
+    layout: Layout,
+    span: tuple[float, float],
+    newest_first: bool,
 ) -> Iterator[tuple[int, Array, str]]:
     """Yield number, row and status of samples in order, including some outside the span."""
     step, order = (-1, "DESC") if newest_first else (1, "ASC")
     # After a set-back clock the samples of two eras overlap.
-    recent = [_journal(store, [era])[::step] for era in eras]
+    each = [{era: own} for era, own in eras.items()]
+    recent = [_journal(store, era, layout)[::step] for era in each]
     stored = [
         (
             (first + k, rows[k], words[k])
-            for first, rows, words in _chunks(store, [era], span, order)
+            for first, rows, words in _chunks(store, era, layout, span, order)
             for k in range(len(rows))[::step]
         )
-        for era in eras
+        for era in each
     ]
     yield from merge(*recent, *stored, key=lambda one: one[1][0], reverse=newest_first)
 

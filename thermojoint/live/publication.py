@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any, NamedTuple
@@ -62,6 +62,19 @@ class Layout:
     def width(self) -> int:
         """Number of values in a row of the history."""
         return _LEADING + sum(self.sizes)
+
+    @property
+    def meanings(self) -> tuple[Hashable, ...]:
+        """What the values of a row are after the leading ones; K0 and slope belong to their P0."""
+        references = {one.axis: one.reference for one in self.lines}
+        return (
+            *(("displacement", axis) for axis in self.axes),
+            *(("band", axis) for axis in self.axes),
+            *(("offset", axis, references.get(axis)) for axis in self.controls),
+            *(("slope", axis, reference) for axis, reference in references.items()),
+            *self.details,
+            *(("reading", name) for name in self.readings),
+        )
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -222,6 +235,19 @@ def columns_of(layout: Layout, rows: Array) -> Columns:
     """Split rows of the history, shape (n, layout.width), by quantity."""
     parts = np.split(rows[:, _LEADING:], np.cumsum(layout.sizes)[:-1], axis=1)
     return Columns(*rows[:, :_LEADING].T, *parts)
+
+
+def fitted(rows: Array, before: Layout, now: Layout) -> Array:
+    """Return rows of the history of one layout in another; what it did not have is NaN."""
+    if before == now:
+        return rows
+    places = {one: _LEADING + k for k, one in enumerate(before.meanings)}
+    found = np.full((len(rows), now.width), np.nan)
+    found[:, :_LEADING] = rows[:, :_LEADING]
+    for k, one in enumerate(now.meanings):
+        if one in places:
+            found[:, _LEADING + k] = rows[:, places[one]]
+    return found
 
 
 def from_row(

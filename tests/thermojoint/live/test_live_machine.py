@@ -29,7 +29,7 @@ from thermojoint.live.machine_state import (
     restore_state,
 )
 from thermojoint.live.metrics import fresh_metrics
-from thermojoint.live.publication import as_json, as_row, from_row
+from thermojoint.live.publication import AxisLine, as_json, as_row, columns_of, fitted, from_row
 from thermojoint.live.rate_limit import AT_ONCE, LineLimit
 from thermojoint.live.recovery import is_damage
 from thermojoint.live.running import restored_fleet
@@ -262,6 +262,36 @@ def test_what_a_killed_service_had_of_a_former_model_stays_in_the_history(
     checkpoint(fleet, store)
     assert numbers() == [*former, *range(1, 11)]
     assert not store.execute("SELECT count(*) FROM journal").fetchone()[0]
+
+
+def test_the_history_from_before_a_change_of_the_axes_is_still_read(model, path, store, fleet):
+    feed(fleet, store, 0, 10)
+    checkpoint(fleet, store)
+    feed(fleet, store, 10, 20)
+    before = Archive(path).history("mill", 0.0, 1e11, 1000).columns
+    line = AxisLine("Y", 0.1, 0.2)
+    layout = replace(model.layout, controls=("Y", *model.layout.controls), lines=(line,))
+    era_of(store, "mill", model.digest, layout, START + 20.0)
+    now = Archive(path).history("mill", 0.0, 1e11, 1000)
+    assert now.layout == layout
+    for name in ("times", "quality", "displacement", "band", "details", "readings"):
+        np.testing.assert_array_equal(getattr(now.columns, name), getattr(before, name))
+    np.testing.assert_array_equal(now.columns.offsets[:, 1:], before.offsets)
+    assert np.isnan(now.columns.offsets[:, 0]).all()
+    assert np.isnan(now.columns.slopes).all()
+    newest = Archive(path).latest("mill")
+    assert (newest.number, newest.offsets[1]) == (20, before.offsets[-1, 0])
+
+
+def test_an_offset_at_another_p0_is_not_one_at_this(model):
+    """K0 says nothing without its P0, of which a history has one."""
+    own = replace(model.layout, controls=("X", "Z"), lines=(AxisLine("X", 0.1, 0.2),))
+    moved = replace(own, lines=(AxisLine("X", 0.2, 0.2),))
+    row = np.arange(float(own.width))[None]
+    found = columns_of(moved, fitted(row, own, moved))
+    same = columns_of(own, row)
+    assert np.isnan([found.offsets[0, 0], found.slopes[0, 0]]).all()
+    assert found.offsets[0, 1] == same.offsets[0, 1]
 
 
 def test_a_row_of_the_history_is_the_publication(model):
