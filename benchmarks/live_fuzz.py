@@ -160,7 +160,9 @@ def opcua_door(draw: Random, model: LoadedModel, now: float, well: bool) -> list
     stamp = datetime.fromtimestamp(now, UTC)
     if well:
         found = [
-            opcua.item_of(MACHINE, k, count, ua.DataValue(ua.Variant(one), SourceTimestamp=stamp))
+            opcua.item_of(
+                MACHINE, (k,), count, ua.DataValue(ua.Variant(one), SourceTimestamp=stamp)
+            )
             for k, one in enumerate(good_readings(model, int(now - START)))
         ]
         return opcua.in_order(found)
@@ -173,7 +175,7 @@ def opcua_door(draw: Random, model: LoadedModel, now: float, well: bool) -> list
     value = ua.DataValue(
         ua.Variant(content) if content is not None else None, SourceTimestamp=at, ServerTimestamp=at
     )
-    found = [opcua.item_of(MACHINE, draw.randrange(count), count, value)]
+    found = [opcua.item_of(MACHINE, (draw.randrange(count),), count, value)]
     written = probe_reading(MACHINE, count, count - 1, ua.DataValue(ua.Variant("x")), now)
     return [*opcua.in_order(found), *([written] if written else [])]
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from threading import Thread
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -28,7 +29,7 @@ from thermojoint.live.opcua_values import status_of, variables_of
 from thermojoint.live.publication import Layout
 from thermojoint.live.readers import csv_lines, mqtt, opcua
 from thermojoint.live.readers.reader import source_names
-from thermojoint.live.settings import ModelSection, MqttSource
+from thermojoint.live.settings import ModelSection, MqttSource, OpcuaSource
 
 NAMES = ("T1_degC", "T2_degC")
 TOPICS = mqtt.topics_of(MqttSource(kind="mqtt", topic="hall/{machine}"), {"mill": NAMES})
@@ -303,10 +304,10 @@ def test_a_bad_value_of_opcua_is_a_missing_reading():
         StatusCode=ua.StatusCode(ua.StatusCodes.BadSensorFailure),
         SourceTimestamp=stamp,
     )
-    assert list(opcua.item_of("mill", 1, 2, good).readings) == [None, 21.5]
-    assert math.isnan(opcua.item_of("mill", 1, 2, bad).readings[1])
-    assert isinstance(opcua.item_of("mill", 1, 2, ua.DataValue(ua.Variant("x"))), Note)
-    assert isinstance(opcua.item_of("mill", 1, 2, ua.DataValue(ua.Variant(1.0))), Note)
+    assert list(opcua.item_of("mill", (1,), 2, good).readings) == [None, 21.5]
+    assert math.isnan(opcua.item_of("mill", (1,), 2, bad).readings[1])
+    assert isinstance(opcua.item_of("mill", (1,), 2, ua.DataValue(ua.Variant("x"))), Note)
+    assert isinstance(opcua.item_of("mill", (1,), 2, ua.DataValue(ua.Variant(1.0))), Note)
 
 
 def test_values_of_one_time_are_one_arrival_in_the_order_of_time():
@@ -321,6 +322,21 @@ def test_values_of_one_time_are_one_arrival_in_the_order_of_time():
         (1.0, [2.0, 3.0]),
         (2.0, [1.0, None]),
     ]
+
+
+def test_two_readings_may_be_one_variable_or_topic():
+    """As two columns of a CSV may be: a thermometer that others are compared with."""
+    one = mqtt.topics_of(MqttSource(kind="mqtt", topic="{reading}"), {"mill": ("air", "T", "air")})
+    assert mqtt.item_of(one, "air", b'{"time": 1, "value": 2}').readings == [2.0, None, 2.0]
+    source = OpcuaSource(
+        kind="opcua", url="opc.tcp://127.0.0.1", node="ns=2;s={reading}", security="none"
+    )
+    fed = {"mill": SimpleNamespace(intake=SimpleNamespace(wanted=3))}
+    service = SimpleNamespace(folder=None)
+    nodes = opcua.opcua_reader(service, source, {"mill": ("air", "T", "air")}, fed).nodes
+    assert nodes == {"ns=2;s=air": ("mill", (0, 2)), "ns=2;s=T": ("mill", (1,))}
+    value = ua.DataValue(ua.Variant(2.0), SourceTimestamp=datetime(2026, 3, 2, tzinfo=UTC))
+    assert opcua.item_of(*nodes["ns=2;s=air"], 3, value).readings == [2.0, None, 2.0]
 
 
 def test_of_two_values_of_a_variable_at_one_time_the_last_counts():

@@ -700,7 +700,7 @@ def test_a_history_is_read_to_its_end_also_if_it_is_stored_late_or_comes_in_part
             for k in range(1, 6):
                 await server.write_attribute_value(node.nodeid, _value(float(k), START + k))
             endpoint = Endpoint(f"opc.tcp://127.0.0.1:{port}", None, None, None, None)
-            reader = OpcuaReader(endpoint, {"ns=2;s=T": ("mill", 0)}, {"mill": 1}, 100, 50.0)
+            reader = OpcuaReader(endpoint, {"ns=2;s=T": ("mill", (0,))}, {"mill": 1}, 100, 50.0)
             async with contextlib.aclosing(reader.read({"mill": START})) as arrivals:
                 async for some in arrivals:
                     found += [one.time for one in some if isinstance(one, Arrival)]
@@ -729,7 +729,7 @@ def test_one_time_in_the_future_leaves_no_value_out_after_a_lost_connection(monk
         async with server:
             await server.iserver.enable_history_data_change(node, timedelta(days=3650), 10_000)
             endpoint = Endpoint(f"opc.tcp://127.0.0.1:{port}", None, None, None, None)
-            reader = OpcuaReader(endpoint, {"ns=2;s=T": ("mill", 0)}, {"mill": 1}, 100, 50.0)
+            reader = OpcuaReader(endpoint, {"ns=2;s=T": ("mill", (0,))}, {"mill": 1}, 100, 50.0)
             async with contextlib.aclosing(reader.read({})) as arrivals:
                 await told(arrivals, START + 1e7)
                 await write(START)
@@ -755,7 +755,7 @@ def test_a_subscription_that_its_server_has_ended_is_made_anew(monkeypatch):
         await server.write_attribute_value(node.nodeid, _value(0.0, START))
         async with server:
             endpoint = Endpoint(f"opc.tcp://127.0.0.1:{port}", None, None, None, None)
-            reader = OpcuaReader(endpoint, {"ns=2;s=T": ("mill", 0)}, {"mill": 1}, 100, 50.0)
+            reader = OpcuaReader(endpoint, {"ns=2;s=T": ("mill", (0,))}, {"mill": 1}, 100, 50.0)
             async with contextlib.aclosing(reader.read({})) as arrivals:
                 async for some in arrivals:
                     found += [one.time for one in some if isinstance(one, Arrival)]

@@ -152,9 +152,8 @@ def _readings(
     if reading is not None:
         if reading not in names:
             raise ValueError(f"no reading is called {reading[:50]!r}")
-        readings: list[float | None] = [None] * len(names)
-        readings[names.index(reading)] = _value(content["value"])
-        return readings
+        value = _value(content["value"])
+        return [value if name == reading else None for name in names]
     if not any(name in content for name in names):
         raise ValueError(f"none of {', '.join(names)[:80]}")
     return [_value(content[name]) if name in content else None for name in names]

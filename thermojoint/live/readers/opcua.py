@@ -42,13 +42,17 @@ _AGAIN_S, _LATE_S = 0.1, 3.0
 _QUEUE = 1000
 
 
+#: A machine, and which of its readings a variable is.
+Place = tuple[str, tuple[int, ...]]
+
+
 @dataclass(eq=False)
 class OpcuaReader:
     """All machines of one server."""
 
     endpoint: Endpoint
-    #: Node id to machine and reading.
-    nodes: Mapping[str, tuple[str, int]]
+    #: Node id to a machine and its readings; usually one.
+    nodes: Mapping[str, Place]
     #: Readings of each machine.
     counts: Mapping[str, int]
     #: Largest number of queued values.
@@ -57,7 +61,7 @@ class OpcuaReader:
     publishing_ms: float
     _queue: deque[Arrival | Note] = field(default_factory=deque)
     _received: asyncio.Event = field(default_factory=asyncio.Event)
-    _newest: dict[tuple[str, int], float] = field(default_factory=dict)
+    _newest: dict[Place, float] = field(default_factory=dict)
 
     @property
     def machines(self) -> Sequence[str]:
@@ -68,10 +72,9 @@ class OpcuaReader:
         """Yield values until cancelled; reconnect whenever the connection is lost."""
         # Per variable: a connection may be lost between the values of one instant.
         self._newest = {
-            (machine, k): float(at)
-            for machine, at in positions.items()
-            if isinstance(at, int | float)
-            for k in range(self.counts[machine])
+            place: float(at)
+            for place in self.nodes.values()
+            if isinstance(at := positions.get(place[0]), int | float)
         }
         async with background_session(self._stay_connected(), self._received) as next_arrival:
             while True:
@@ -127,7 +130,7 @@ class OpcuaReader:
                 status.check()
 
     async def _missed_values(
-        self, client: Client, nodes: Sequence[Node], places: Mapping[ua.NodeId, tuple[str, int]]
+        self, client: Client, nodes: Sequence[Node], places: Mapping[ua.NodeId, Place]
     ) -> list[tuple[ua.NodeId, ua.DataValue]]:
         """Return the history of every variable since its last reading, up to its present value."""
         # Newer values arrive by the subscription.
@@ -165,13 +168,13 @@ class OpcuaReader:
         return [(nodeid, value) for nodeid, values in found.items() for value in values]
 
     def _receive(
-        self, places: Mapping[ua.NodeId, tuple[str, int]], nodeid: ua.NodeId, value: ua.DataValue
+        self, places: Mapping[ua.NodeId, Place], nodeid: ua.NodeId, value: ua.DataValue
     ) -> None:
-        machine, k = places[nodeid]
-        item = item_of(machine, k, self.counts[machine], value)
+        place = machine, which = places[nodeid]
+        item = item_of(machine, which, self.counts[machine], value)
         if isinstance(item, Arrival):
             # Not the latest time: one far in the future would leave out what is missed later.
-            self._newest[machine, k] = item.time
+            self._newest[place] = item.time
         else:
             item = replace(item, text=f"{nodeid.to_string()}: {item.text}")
         if len(self._queue) < self.most_waiting:
@@ -239,25 +242,27 @@ def _time(value: ua.DataValue) -> float:
     return math.nan if stamp is None else since_1970(stamp)
 
 
-def item_of(machine: str, k: int, count: int, value: ua.DataValue) -> Arrival | Note:
+def item_of(machine: str, which: Sequence[int], count: int, value: ua.DataValue) -> Arrival | Note:
     """Return one value as an arrival, or a note of its fault.
 
     Parameters
     ----------
     machine : str
-    k, count : int
-        Index and number of the machine's readings.
+    which : sequence of int
+        Indices of the readings that the value is.
+    count : int
+        Number of the machine's readings.
     value : DataValue
     """
     content = value.Value.Value if value.Value is not None else None
     code = value.StatusCode
-    readings: list[float | None] = [None] * count
     if content is None or (code is not None and code.is_bad()):
-        readings[k] = math.nan
+        reading = math.nan
     elif isinstance(content, bool) or not isinstance(content, int | float):
         return Note("malformed", f"a {type(content).__name__} is not a number", machine)
     else:
-        readings[k] = float(content) if math.isfinite(content) else math.nan
+        reading = float(content) if math.isfinite(content) else math.nan
+    readings = [reading if k in which else None for k in range(count)]
     try:
         at = _time(value)
     except (ValueError, OverflowError):
@@ -280,11 +285,12 @@ def opcua_reader(
     InputError
         A node id is malformed, or the server's certificate or a secret cannot be used.
     """
-    nodes = {
-        source.node.replace("{machine}", machine).replace("{reading}", name): (machine, k)
-        for machine, called in names.items()
-        for k, name in enumerate(called[: models[machine].intake.wanted])
-    }
+    nodes: dict[str, Place] = {}
+    for machine, called in names.items():
+        for k, name in enumerate(called[: models[machine].intake.wanted]):
+            node = source.node.replace("{machine}", machine).replace("{reading}", name)
+            # Several readings may be one variable: a thermometer that is also another's reference.
+            nodes[node] = (machine, (*nodes.get(node, (machine, ()))[1], k))
     for name in nodes:
         try:
             ua.NodeId.from_string(name)
