@@ -20,6 +20,7 @@ from functools import lru_cache
 from math import fsum
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from thermojoint.artefacts.errors import InputError
 from thermojoint.models.filters.phi import divided_differences, phi_functions
@@ -224,8 +225,8 @@ def stacked(banks: list[Bank]) -> Bank:
     return Bank(
         poles=np.concatenate([b.poles for b in banks]),
         drive=np.concatenate([b.drive for b in banks]),
-        gain=_diagonal([b.gain for b in banks]),
-        double=_diagonal([b.double for b in banks]),
+        gain=block_diag(*(b.gain for b in banks)),
+        double=block_diag(*(b.double for b in banks)),
         constant=np.concatenate([b.constant for b in banks]),
         slope=np.concatenate([b.slope for b in banks]),
     )
@@ -236,7 +237,7 @@ def summed(banks: list[Bank]) -> Bank:
     _check_no_leak(banks)
     return Bank(
         poles=np.concatenate([b.poles for b in banks]),
-        drive=_diagonal([b.drive for b in banks]),
+        drive=block_diag(*(b.drive for b in banks)),
         gain=np.concatenate([b.gain for b in banks], axis=1),
         double=np.concatenate([b.double for b in banks], axis=1),
         constant=np.concatenate([b.constant for b in banks], axis=1),
@@ -316,16 +317,3 @@ def _outputs(bank: Bank, inputs: np.ndarray) -> np.ndarray:
 def _check_no_leak(banks: list[Bank]) -> None:
     if any(bank.leak for bank in banks):
         raise InputError("leaking banks cannot be combined; add the leak to the combined bank")
-
-
-def _diagonal(blocks: list[np.ndarray]) -> np.ndarray:
-    """Return the matrix with `blocks` on its diagonal; empty blocks keep their shape."""
-    rows = sum(b.shape[0] for b in blocks)
-    columns = sum(b.shape[1] for b in blocks)
-    whole = np.zeros((rows, columns), dtype=np.result_type(*blocks))
-    row = column = 0
-    for block in blocks:
-        whole[row : row + block.shape[0], column : column + block.shape[1]] = block
-        row += block.shape[0]
-        column += block.shape[1]
-    return whole
