@@ -11,6 +11,12 @@ def initial_slope(model: DeformationModel) -> float:
     return model.C * model.c + model.D * model.d + model.E + model.F
 
 
+def deformation_transfer(s: np.ndarray | complex, m: DeformationModel) -> np.ndarray:
+    """Return s times the transform of Eqs. 8 and 18, m per unit: poles at minus the rates."""
+    total = m.C * m.c / (s + m.c) + m.D * m.d / (s + m.d) + m.E * s / (s + m.e) ** 2
+    return total + m.F * s / (s + m.f) ** 2 if m.F else total
+
+
 def regularisation_function(t: np.ndarray, regularisation: Regularisation) -> np.ndarray:
     """Return f_R(t) (Eq. 7), K per unit heat input, shaped as `t` (s, >= 0)."""
     at = np.asarray(t, dtype=float)

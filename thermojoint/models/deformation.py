@@ -80,14 +80,3 @@ def step_response(t: np.ndarray | float, model: DeformationModel) -> np.ndarray:
         - m.D * np.expm1(-m.d * at)
         + at * (m.E * np.exp(-m.e * at) + m.F * np.exp(-m.f * at))
     )
-
-
-def transfer_function(s: np.ndarray | complex, model: DeformationModel) -> np.ndarray:
-    """Return displacement over heat input in the Laplace domain, m per unit heat input.
-
-    s times the transform of the step response; finite at s = 0, poles at minus the rates.
-    """
-    z = np.asarray(s, dtype=complex)
-    m = model
-    total = m.C * m.c / (z + m.c) + m.D * m.d / (z + m.d) + m.E * z / (z + m.e) ** 2
-    return total + m.F * z / (z + m.f) ** 2 if m.F else total
