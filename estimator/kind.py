@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
-from estimator.columns import named_in, samples_of
+from estimator.columns import Sample, named_in, samples_of
 from estimator.intake import Intake, by_channels
 from estimator.interface import READING_NOISE, Estimator, NextReading, follow
 from estimator.judging import Conditions, Figures, JudgedIn, judge_responses
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 
     from estimator.export.program import Contents, Precision
 
-Sample = tuple[float, ...]
 #: Called with the first row of a log as read: column to value.
 OnFirst = Callable[[Mapping[str, float]], None]
 

@@ -14,21 +14,16 @@ from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Se
 from itertools import chain, islice
 from typing import TYPE_CHECKING
 
+from estimator.columns import Sample
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log
 from thermojoint.artefacts.quantities import UNITS, Column
-from thermojoint.artefacts.tables.cells import LARGEST_TEMPERATURE
 from thermojoint.models.parameters import Model
 from thermojoint.models.sensors import readings, roles_in
 
 if TYPE_CHECKING:
     import xarray as xr
-
-#: Temperatures refused by exported programs and the service, in K or °C.
-LARGEST = LARGEST_TEMPERATURE
-#: Time (s), ΔT (K) and the temperatures at the joint above the current ambient (K).
-Sample = tuple[float, ...]
 
 
 def samples_in(

@@ -10,8 +10,8 @@ from estimator.export.program import Contents, Interface, Operations, Variable, 
 from estimator.export.recorded import duty_cycle
 from estimator.fchs.estimator import Fchs
 from estimator.interface import Status
-from estimator.measured import LARGEST
 from estimator.span import SLACK, with_slack
+from thermojoint.artefacts.tables.cells import LARGEST_TEMPERATURE
 from thermojoint.models.assembly_file import fingerprint
 
 _STATUSES = (
@@ -45,7 +45,7 @@ def contents(estimator: Fchs) -> Contents:
             "banks": banks,
             "limits": [with_slack(limits) for limits in ranges],
             "longest": (1.0 + SLACK) * span.duration_s,
-            "no_temperature": LARGEST,
+            "no_temperature": LARGEST_TEMPERATURE,
             "cold": list(settling.cold.values()),
             "settling": settling.duration,
             "longest_pause": settling.longest_pause,
