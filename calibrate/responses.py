@@ -18,7 +18,7 @@ from calibrate.source_thermal import make_geometry
 from fesim.setup.structure import body_of_candidate
 from thermojoint.artefacts import steps
 from thermojoint.artefacts.errors import InputError, unknown_name
-from thermojoint.artefacts.response import axes_of, displaced, probes_of
+from thermojoint.artefacts.response import axes_of, axes_that_move, displaced, probes_of
 from thermojoint.models.sensors import ROLES
 
 if TYPE_CHECKING:
@@ -199,28 +199,5 @@ def checked_distances(distances: Sequence[Sequence[float]], count: int) -> list[
 
 
 def moving_axes(reference: xr.Dataset, others: Mapping[float, xr.Dataset]) -> list[str]:
-    """Return the axes along which something moves, in the order of the reference.
-
-    Parameters
-    ----------
-    reference, others
-        As in `check_responses`.
-
-    Raises
-    ------
-    InputError
-        Nothing moves along any axis.
-    """
-    axes = axes_of(reference)
-    peaks = np.max(
-        [
-            np.abs(response["displacement"].sel(axis=axes).to_numpy()).max(axis=0)
-            for response in (reference, *others.values())
-        ],
-        axis=0,
-    )
-    if not peaks.any():
-        raise InputError(
-            f"{WHERE}: the displacement is zero along every axis; record points that move"
-        )
-    return [axis for axis, peak in zip(axes, peaks, strict=True) if peak > STILL * peaks.max()]
+    """Return the axes with motion, in the order of the reference; raises as `axes_that_move`."""
+    return axes_that_move((reference, *others.values()), axes_of(reference), STILL, WHERE)

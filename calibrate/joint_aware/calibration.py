@@ -31,7 +31,7 @@ from fesim.solid.elasticity import DIRECTIONS
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.display import Described
 from thermojoint.artefacts.errors import ConvergenceError, InputError
-from thermojoint.artefacts.response import columns_of, displaced, probes_of
+from thermojoint.artefacts.response import axes_that_move, displaced, probes_of
 from thermojoint.artefacts.units import MEGA, MILLI
 from thermojoint.reduced.axis_drive import displacement_probes, drives_on
 from thermojoint.reduced.loosened import Loosening, loosening_of
@@ -260,7 +260,8 @@ def calibrate_machine(
 
     `loosening` makes the compliant supports and films of a machine that is unlike its case.
     """
-    machine = along(machine, _moving(machine, responses))
+    moving = axes_that_move(responses.values(), machine.axes, STILL, "joint-aware")
+    machine = along(machine, moving)
     every = {name: run_in(response, machine, name) for name, response in responses.items()}
     if not highest_heat(machine, list(every.values())):
         raise InputError("joint-aware: no run has any heat; add one, such as a step")
@@ -365,23 +366,6 @@ def _observer(
     band, unchecked = widened(machine, runs, fit, model, noise, drawing)
     # The machines of the band have no power readings: where there are any, it is too wide.
     return replace(model, band=band, power_shares=machine.power_shares), unchecked
-
-
-def _moving(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) -> list[str]:
-    """Axes with motion."""
-    peaks = np.max(
-        [
-            np.abs(columns_of(response, "displacement", machine.axes)).max(axis=0)
-            for response in responses.values()
-        ],
-        axis=0,
-    )
-    if not peaks.any():
-        raise InputError(
-            "joint-aware: the displacement is zero along every axis; record points that move"
-        )
-    moved = zip(machine.axes, peaks, strict=True)
-    return [axis for axis, peak in moved if peak > STILL * peaks.max()]
 
 
 def calibrated_range(machine: ReducedMachine, responses: Mapping[str, xr.Dataset]) -> Calibrated:

@@ -444,3 +444,22 @@ def columns_of(
             raise unknown_name(kind, name, known, where)
     columns = [known.index(name) for name in names]
     return np.asarray(response[variable].to_numpy()[:, columns], dtype=float)
+
+
+def axes_that_move(
+    responses: Iterable[xr.Dataset], axes: Sequence[str], least: float, where: str
+) -> list[str]:
+    """Return the axes with motion above `least` times the largest displacement of all responses.
+
+    Raises
+    ------
+    InputError
+        Nothing moves along any axis; `where` is the beginning of the message.
+    """
+    every = [np.abs(columns_of(one, "displacement", axes)).max(axis=0) for one in responses]
+    peaks = np.max(every, axis=0)
+    if not peaks.any():
+        raise InputError(
+            f"{where}: the displacement is zero along every axis; record points that move"
+        )
+    return [axis for axis, peak in zip(axes, peaks, strict=True) if peak > least * peaks.max()]
