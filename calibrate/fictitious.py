@@ -182,7 +182,6 @@ def calibrate_fictitious(
     others: Mapping[float, xr.Dataset],
     distances: Sequence[Sequence[float]],
     sensors: Sequence[str] = JOINT_SENSORS,
-    reference_input: float | None = None,
 ) -> FictitiousCalibration:
     """Return Tables 2 and 3 from step responses at the reference and at other heat inputs.
 
@@ -196,8 +195,6 @@ def calibrate_fictitious(
         r_ij, m, from source i to sensor T_j; source i belongs to sensor T_i.
     sensors : sequence of str
         T1, T2 ..., one for each source.
-    reference_input : float, optional
-        Heat input at which every strength is 1; default the largest of `others`.
 
     Raises
     ------
@@ -213,14 +210,9 @@ def calibrate_fictitious(
             "sensors; every source needs its own sensor"
         )
     data = deviations_from(reference, others, sensors)
-    unity = max(data.inputs) if reference_input is None else float(reference_input)
-    if unity not in data.inputs:
-        raise InputError(
-            f"calibration responses: no response at reference_input {unity:g}; choose one of "
-            f"{', '.join(f'{level:g}' for level in data.inputs)}"
-        )
     joint = source_thermal.fit_jointly(data.t, data.temperatures, data.inputs, geometry)
-    gains, strengths = gains_and_strengths(joint.products, data.inputs.index(unity))
+    # Inputs ascend: every strength is 1 at the largest.
+    gains, strengths = gains_and_strengths(joint.products, -1)
     fits: dict[str, Fit] = {}
     errors: dict[str, dict[str, float]] = {}
     shapes: dict[str, tuple[DeformationModel, ...]] = {}

@@ -72,12 +72,11 @@ class SourceFit:
 
 @dataclass(frozen=True)
 class Averaging:
-    """Outcome of Figure 4's loop: the sources, and whether the inputs agreed."""
+    """Outcome of Figure 4's loop: the sources, and how it ended."""
 
     result: SourceFit
     #: Of the last round: largest |ln(rate / mean)| of the rates preferred by each input.
     spread: float
-    converged: bool
     reason: str
 
 
@@ -216,7 +215,7 @@ def fit_by_averaging(
     ]
     names = alone[0][0].names
     guesses: list[list[float]] = []
-    converged, reason = False, f"the inputs did not agree within {ROUNDS} rounds"
+    reason = f"the inputs did not agree within {ROUNDS} rounds"
     for index in range(ROUNDS):
         count = 0 if guesses else FIRST_STARTS
         ends = [
@@ -228,14 +227,14 @@ def fit_by_averaging(
         before, guesses = guesses, [averages.tolist()]
         spread = float(np.abs(np.log(rates / averages)).max())
         if spread < TOLERANCE:
-            converged, reason = True, f"the inputs agree after {index + 1} rounds"
+            reason = f"the inputs agree after {index + 1} rounds"
             break
         if before and float(np.abs(np.log(averages / before[0])).max()) < TOLERANCE:
             reason = f"the means stopped moving after {index + 1} rounds; the inputs differ"
             break
     best = fit_linear(_problem(t, deviations, inputs, geometry), guesses[0])
     result = _source_fit(best, geometry.distances.shape[0], len(inputs))
-    return Averaging(result, spread, converged, reason)
+    return Averaging(result, spread, reason)
 
 
 def largest_ratio(joint: SourceFit, averaged: SourceFit) -> float:
