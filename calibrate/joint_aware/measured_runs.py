@@ -18,7 +18,7 @@ from fesim.solid.elasticity import DIRECTIONS
 from thermojoint.artefacts.arrays import Array, Flags
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log
-from thermojoint.artefacts.log_record import PAUSE, SHORTEST_PAUSE
+from thermojoint.artefacts.log_record import are_pauses
 from thermojoint.artefacts.response import make_response
 
 #: Fraction of the samples in which a reading may be missing.
@@ -153,7 +153,7 @@ def _after_pauses(times: Array) -> list[int]:
     """Return the rows of a run that follow a pause, from its times (n,), s."""
     steps = np.diff(times)
     usual = float(np.median(steps)) if steps.size else 0.0
-    return (np.flatnonzero(steps > max(PAUSE * usual, SHORTEST_PAUSE)) + 1).tolist()
+    return (np.flatnonzero(are_pauses(steps, usual)) + 1).tolist()
 
 
 def _with(

@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.arrays import Array, Flags
 from thermojoint.artefacts.quantities import Column
 
 #: A pause is longer than this number of intervals, and than this time, s.
@@ -80,7 +80,7 @@ def with_times(record: Record, times: Array, last: float) -> Record:
     interval = record.interval
     if not interval > 0.0 and len(steps):
         interval = float(np.median(steps))
-    long = times - before > max(PAUSE * interval, SHORTEST_PAUSE)
+    long = are_pauses(times - before, interval)
     pauses = [
         (float(begin), float(end))
         for begin, end in zip(before[long], times[long], strict=True)
@@ -94,6 +94,19 @@ def with_times(record: Record, times: Array, last: float) -> Record:
         interval=interval,
         pauses=tuple(pauses),
     )
+
+
+def are_pauses(steps: Array, interval: float) -> Flags:
+    """Return which steps between rows (k,), s, are pauses: much longer than the usual interval.
+
+    Parameters
+    ----------
+    steps : ndarray, shape (k,)
+        s.
+    interval : float
+        Usual step, s.
+    """
+    return np.asarray(steps > max(PAUSE * interval, SHORTEST_PAUSE))
 
 
 def moved(record: Record, seconds: float) -> Record:
