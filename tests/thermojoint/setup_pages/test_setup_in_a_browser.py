@@ -69,8 +69,9 @@ def do(page, selector):
 
 
 def drawn(page, name):
-    """Whether a picture is there and can be shown."""
-    return page.locator(f"img[alt='{name}']").evaluate("one => one.naturalWidth") > 0
+    """Whether a picture is there and can be shown; the page may be read before its pictures are."""
+    shown = "one => one.decode().then(() => one.naturalWidth, () => 0)"
+    return page.locator(f"img[alt='{name}']").evaluate(shown) > 0
 
 
 @contextlib.contextmanager
