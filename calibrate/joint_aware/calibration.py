@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from calibrate.joint_aware.assembling import make_observer, seen_heat
 from calibrate.joint_aware.left_out import widened
-from calibrate.joint_aware.misfit import Run, fewer, highest_heat
+from calibrate.joint_aware.misfit import Run, fewer, highest_heat, largest_displacement
 from calibrate.joint_aware.open_band import Drawing, open_band, variance_of_heat
 from calibrate.joint_aware.physics_fit import SEARCH, Fit, Search, fit_physics
 from calibrate.joint_aware.readings import heat_in, run_in, ways_of
@@ -346,8 +346,7 @@ def _noises(
     machine: ReducedMachine, fit: Fit, known: Calibrated, runs: Sequence[Run]
 ) -> list[Noise]:
     """The usual noise, and one with unknown heat if thermometers determine it."""
-    largest = np.max([np.abs(run.displacement).max(axis=0) for run in runs], axis=0)
-    heat = seen_heat(machine, fit, known, largest)
+    heat = seen_heat(machine, fit, known, largest_displacement(runs))
     return [Noise(), Noise(unknown_heat=heat)] if heat else [Noise()]
 
 

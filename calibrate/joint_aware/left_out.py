@@ -108,28 +108,32 @@ class _Others(NamedTuple):
 class _Unseen(NamedTuple):
     """A run that was left out: squares of the relaxed heat (n, q), expected variances and errors.
 
-    Variances (n, axes) are in m2, errors (n, axes) in m.
+    Variances (n, axes) are in m2, errors (n, axes) in m, NaN where the displacement was not read.
     """
 
     squares: Array
     expected: Array
     errors: Array
 
+    def along(self, axis: int) -> _Unseen:
+        """Return the rows in which the displacement along an axis was read."""
+        read = np.isfinite(self.errors[:, axis])
+        return _Unseen(self.squares[read], self.expected[read, axis], self.errors[read, axis])
+
 
 def _missing(unseen: Sequence[_Unseen], axis: int, floor: float) -> Array:
     """Least coefficients (q,) of the squares with which the band of an axis holds on every run."""
-    squares, expected, errors = (np.concatenate(parts) for parts in zip(*unseen, strict=True))
-    shape = shortfall(squares, expected[:, axis], errors[None, :, axis], floor)
+    every = [run.along(axis) for run in unseen]
+    squares, expected, errors = (np.concatenate(parts) for parts in zip(*every, strict=True))
+    shape = shortfall(squares, expected, errors[None], floor)
 
     def holds(size: float) -> bool:
         return all(
             np.quantile(
-                np.abs(run.errors[:, axis])
-                / np.sqrt(run.expected[:, axis] + size * (run.squares @ shape)),
-                HELD,
+                np.abs(one.errors) / np.sqrt(one.expected + size * (one.squares @ shape)), HELD
             )
             <= WIDTH
-            for run in unseen
+            for one in every
         )
 
     return next((size * shape for size in SIZES if holds(size)), SIZES[-1] * shape)
@@ -151,7 +155,7 @@ def _unseen(
     steps = joined(run, max(1, round(step / run.length)))
     grid = steps.length * np.arange(1.0, len(steps.inputs) + 1.0)
     # Means over these steps: noise of the displacement readings is not an error of the estimate.
-    errors, read = means_in(found - run.displacement, run.times, grid)
+    errors, read = means_in(-run.beyond(found), run.times, grid)
     driven, course = steps.inputs[:, :sources], steps.inputs[:, steps.inputs.shape[1] - moving :]
     history = history_of(driven / machine.power, fit.discrepancy.rates, step, course)
     drawn = drawn_errors(np.random.default_rng(drawing.seed), slow, [history], drawing)
@@ -165,12 +169,14 @@ def _unseen(
 def means_in(values: Array, times: Array, grid: Array) -> tuple[Array, Flags]:
     """Return means of values (n, c) at `times` (n,) in steps of `grid`, and the steps with any.
 
-    Steps without any reading are left out of the means.
+    Steps without any sample are left out of the means; NaN is no value, and the mean of none.
     """
     step = np.searchsorted(grid * (1.0 + 1e-9), times)[:, None] == np.arange(grid.size)
-    count = step.sum(axis=0)
-    read = count > 0
-    return (step.T @ values)[read] / count[read, None], read
+    read, there = step.any(axis=0), np.isfinite(values)
+    count = (step.T @ there.astype(float))[read]
+    means = np.full(count.shape, np.nan)
+    sums = (step.T @ np.where(there, values, 0.0))[read]
+    return np.divide(sums, count, out=means, where=count > 0.0), read
 
 
 def samples_of(run: Run, driven: int) -> Array:

@@ -21,8 +21,10 @@ from thermojoint.artefacts.log import Log
 from thermojoint.artefacts.log_record import are_pauses
 from thermojoint.artefacts.response import make_response
 
-#: Fraction of the samples in which a reading may be missing.
+#: Fraction of the samples in which a reading other than a displacement may be missing.
 MOST_MISSING = 0.2
+#: Least number of readings of a displacement in a run, the first one, its zero, included.
+LEAST_READ = 3
 #: After a pause a machine is cold if its largest rise is less than this share of that before.
 COOLED = 0.1
 
@@ -30,10 +32,12 @@ COOLED = 0.1
 def runs_of(log: Log, case: Case, displacement: Sequence[str]) -> dict[str, xr.Dataset]:
     """Return every run of a log as a response.
 
-    A run starts at rest: its first readings are those of the cold machine, its first displacement
-    is zero. One ends where time restarts, and at a pause in which the machine has cooled. Samples
-    with a missing reading are left out, and with a warning those with a spike of a temperature or a
-    displacement (`calibrate.learning.thinning.without_spikes`).
+    A run starts at rest: its first readings are those of the cold machine. Its displacement is
+    relative to the first reading of each axis. One ends where time restarts, and at a pause in
+    which the machine has cooled. Samples with a missing reading are left out, but displacements may
+    be read now and then, each at times of its own: they are NaN in other samples. Spikes of a
+    temperature or a displacement (`calibrate.learning.thinning.without_spikes`) are missing
+    readings, with a warning.
 
     Parameters
     ----------
@@ -50,8 +54,8 @@ def runs_of(log: Log, case: Case, displacement: Sequence[str]) -> dict[str, xr.D
     Raises
     ------
     InputError
-        A column is missing, a temperature has two, a run starts warm, or too many readings are
-        missing.
+        A column is missing, a temperature has two, a run starts warm, too many readings are
+        missing, or a displacement is read too rarely.
     """
     # Along an axis a displacement changes within a sample.
     log = _without_spikes(log, () if case.axes else displacement)
@@ -72,7 +76,6 @@ def runs_of(log: Log, case: Case, displacement: Sequence[str]) -> dict[str, xr.D
     ways = {name: log.at(f"{name}_way_mm") for name, axis in case.axes.items() if axis.odometer}
     room = _temperatures(log, ["ambient"]).get("ambient")
     needed = [
-        *zip(displacement, moved.values(), strict=True),
         *(sensed | surfaces).items(),
         ("heat", power),
         *loads.items(),
@@ -101,7 +104,7 @@ def runs_of(log: Log, case: Case, displacement: Sequence[str]) -> dict[str, xr.D
         check_cold(begin - cold, list(sensed), where)
         runs[where] = _response(
             log.times[kept],
-            {axis: read[kept] for axis, read in moved.items()},
+            {axis: _from_first(read[kept], f"{where}: {axis}_um") for axis, read in moved.items()},
             {name: read[kept] - cold for name, read in (sensed | surfaces).items()},
             heat[kept],
             None if room is None else room[kept] - cold,
@@ -123,6 +126,22 @@ def _largest_rise(sensed: Array, room: Array | None, whole: Flags) -> Array:
     """Largest difference (n,) of p temperatures (p, n) from a cold machine, K; 0 if not `whole`."""
     cold = np.median(sensed[:, np.argmax(whole)]) if room is None else room
     return np.where(whole, np.abs(sensed - cold).max(axis=0), 0.0)
+
+
+def _from_first(moved: Array, where: str) -> Array:
+    """Displacement (k,) of a run relative to its first reading, m; NaN where it was not read.
+
+    Raises
+    ------
+    InputError
+        There are too few readings.
+    """
+    read = np.flatnonzero(np.isfinite(moved))
+    if read.size < LEAST_READ:
+        raise InputError(
+            f"{where}: {read.size} readings beside all others; a run needs {LEAST_READ}"
+        )
+    return np.asarray(moved - moved[read[0]])
 
 
 def _starts(log: Log, rise: Array, whole: Flags) -> list[int]:
@@ -181,18 +200,21 @@ def _response(
 ) -> xr.Dataset:
     displacement = np.zeros((len(times), len(DIRECTIONS)))
     for axis, read in moved.items():
-        displacement[:, DIRECTIONS.index(axis)] = read - read[0]
+        displacement[:, DIRECTIONS.index(axis)] = read
     values = {
         "heat_input": heat,
         "temperature": np.column_stack([*sensed.values()]),
-        "displacement": displacement,
+        "displacement": np.nan_to_num(displacement),
     }
     if room is not None:
         values["ambient"] = room
-    return make_response(
+    run = make_response(
         values,
         {"time": times - times[0], "probe": list(sensed), "axis": list(DIRECTIONS)},
     )
+    # Only a measured displacement has gaps.
+    run = run.assign(displacement=run["displacement"].copy(data=displacement))
+    return run.assign_attrs(displacement_from="its first readings")
 
 
 def _temperatures(log: Log, names: Container[str]) -> dict[str, Array]:

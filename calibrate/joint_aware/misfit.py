@@ -16,7 +16,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.signal import lfilter
 
-from thermojoint.artefacts.arrays import Array
+from thermojoint.artefacts.arrays import Array, Flags
 from thermojoint.reduced.discrepancy import (
     SHARE,
     Discrepancy,
@@ -52,6 +52,9 @@ class Sigmas:
     #: 0.05 um that last for a run.
     temperature: float = 0.3
     displacement: float = 0.5e-6
+    #: Of few readings of a displacement each has a smaller one, as they last for a run, too, but not
+    #: below this, as each has the noise of a probe, m.
+    reading: float = 0.2e-6
     #: The same for the discrepancy, which is fitted to the rest sample by sample, K and m.
     discrepancy_temperature: float = 0.03
     discrepancy_displacement: float = 1e-7
@@ -78,7 +81,7 @@ class Run:
     times: Array
     #: Shape (k, p): K.
     temperature: Array
-    #: Shape (k, axes): m.
+    #: Shape (k, axes): m; NaN where it was not read.
     displacement: Array
     #: Of a step, s.
     length: float
@@ -86,6 +89,37 @@ class Run:
     gone: Array | None = None
     #: Shape (l,): factors of the loads that change, at time zero; None for those of the case.
     loads: Array | None = None
+    #: Whether the displacement is relative to the first reading of each axis, at whatever time.
+    zeroed: bool = False
+
+    @property
+    def read(self) -> Flags:
+        """Whether a displacement was read in a sample, (k, axes)."""
+        return np.isfinite(self.displacement)
+
+    def beyond(self, moved: Array) -> Array:
+        """Return the readings less a displacement (k, axes), m; NaN where there is no reading."""
+        every = self.displacement - moved
+        if self.zeroed:
+            every = every - every[self.read.argmax(axis=0), np.arange(every.shape[1])]
+        return every
+
+    def weighted(self, values: Array, axis: int) -> Array:
+        """Return values (k, ...) as a fit has them at readings along an axis, 0 elsewhere.
+
+        Errors of a model persist, so that few readings tell as much of them as many do, up to their
+        noise (`SIGMAS`). Where all have the error of their zero, they count relative to their mean.
+        """
+        read, shown = self.read[:, axis], np.zeros_like(values)
+        zero = values[read].mean(axis=0) if self.zeroed else 0.0
+        few = math.sqrt(read.size / np.count_nonzero(read))
+        shown[read] = min(few, SIGMAS.displacement / SIGMAS.reading) * (values[read] - zero)
+        return shown
+
+
+def largest_displacement(runs: Sequence[Run]) -> Array:
+    """Return the largest displacement of some runs along every axis, (axes,), m."""
+    return np.asarray(np.max([np.nanmax(np.abs(run.displacement), axis=0) for run in runs], axis=0))
 
 
 def counted_in(run: Run, axes: Sequence[int]) -> Array:
@@ -131,8 +165,14 @@ def searched(machine: ReducedMachine, runs: Sequence[Run], steps: int) -> list[R
 
 
 def fewer(run: Run) -> Run:
-    """Return a run with few samples (`SIGMAS`); the first one, at rest, determines the offsets."""
-    kept = slice(None, None, max(1, math.ceil(run.times.size / SIGMAS.samples)))
+    """Return a run with few samples (`SIGMAS`); the first one, at rest, determines the offsets.
+
+    Of displacements that are read in some samples only, as many readings are kept.
+    """
+    rows = [np.arange(run.times.size), *map(np.flatnonzero, run.read.T)]
+    kept = np.unique(
+        np.concatenate([every[:: max(1, math.ceil(every.size / SIGMAS.samples))] for every in rows])
+    )
     return replace(
         run,
         times=run.times[kept],
@@ -153,6 +193,10 @@ class Problem:
     rates: Array
     #: Shape (n, s q): relaxations of the heat at the samples of all runs.
     states: Array
+    #: Shape (n, axes): whether a displacement was read in a sample.
+    read: Flags
+    #: Shape (axes, n, s q): the relaxations as a fit has them at readings of the displacement.
+    seen: Array
     #: Shape (s q,): 1 where a gain is fitted, 0 where the runs are too short for it.
     shape: Array
     #: Sensor by sensor; the last column of each is its offset.
@@ -196,33 +240,37 @@ def make_problem(machine: ReducedMachine, runs: Sequence[Run]) -> Problem:
     """Return the calibration problem of a machine and its runs."""
     rates = relaxation_rates()
     sources = machine.power.size
-    states = np.vstack(
-        [
-            sampled(relaxed(run.inputs[:, :sources] / machine.power, rates, run.length), run)
-            for run in runs
-        ]
-    )
+    each = [
+        sampled(relaxed(run.inputs[:, :sources] / machine.power, rates, run.length), run)
+        for run in runs
+    ]
+    states = np.vstack(each)
     level = highest_heat(machine, runs)
     longest = max(run.length * len(run.inputs) for run in runs)
     shape = np.tile(told_by(rates, longest), sources)
-    moved = make_ridge(states, shape)
+    seen = np.array(
+        [
+            np.vstack([run.weighted(part, axis) for run, part in zip(runs, each, strict=True)])
+            for axis in range(len(machine.axes))
+        ]
+    )
     constant = np.column_stack([states, np.ones(len(states))])
-
-    def taus(values: Sequence[Array]) -> Array:
-        return SHARE / level * np.max([np.abs(value).max(axis=0) for value in values], axis=0)
 
     def with_offset(tau: float) -> Array:
         return np.append(shape, SIGMAS.offset / tau if tau else 0.0)
 
-    sensed = taus([run.temperature for run in runs])
+    warmest = np.max([np.abs(run.temperature).max(axis=0) for run in runs], axis=0)
+    sensed, moved = SHARE / level * warmest, SHARE / level * largest_displacement(runs)
     return Problem(
         machine,
         runs,
         rates,
         states,
+        np.vstack([run.read for run in runs]),
+        seen,
         shape,
         tuple(Channel(make_ridge(constant, with_offset(tau)), tau) for tau in sensed),
-        tuple(Channel(moved, tau) for tau in taus([run.displacement for run in runs])),
+        tuple(Channel(make_ridge(own, shape), tau) for own, tau in zip(seen, moved, strict=True)),
         np.ones(len(machine.sensors)),
     )
 
@@ -237,7 +285,7 @@ def sampled(values: Array, run: Run, first: Array | None = None) -> Array:
 def errors(
     problem: Problem, parameters: tuple[Parameter, ...], coordinates: Array
 ) -> tuple[Array, Array]:
-    """Return runs minus machine: temperature (k, p), displacement (k, axes).
+    """Return runs minus machine: temperature (k, p), weighted displacement (k, axes).
 
     Parameters
     ----------
@@ -260,7 +308,9 @@ def errors(
     for run, ((warm, bent), (sensed, moved)) in zip(problem.runs, marched, strict=True):
         read = _lagged(sensed - warm, lags, run.length) + warm if any(lags) else sensed
         temperature.append(run.temperature - sampled(read, run, warm))
-        displacement.append(run.displacement - sampled(moved, run, bent))
+        apart = run.displacement - sampled(moved, run, bent)
+        each = [run.weighted(column, axis) for axis, column in enumerate(apart.T)]
+        displacement.append(np.column_stack(each))
     return np.vstack(temperature), np.vstack(displacement)
 
 
@@ -374,9 +424,10 @@ def doubt_of(problem: Problem, left: Array) -> float:
     channel sum to the number of runs, or to those of its noise where that is more. Larger sums show
     that the machine deviates from its model beyond the parameters, which are then less certain.
     """
-    samples = len(problem.states)
-    each = left.reshape(-1, samples).T
-    noise = samples * reading_noise(problem, each) ** 2
+    sensed = np.ones((len(problem.states), len(problem.temperature)), dtype=bool)
+    channels = (*problem.temperature, *problem.displacement)
+    read = np.hstack([sensed, problem.read])[:, [channel.tau > 0.0 for channel in channels]]
+    noise = read.sum(axis=0) * reading_noise(problem, left.reshape(read.T.shape).T, read) ** 2
     expected = float(np.maximum(noise, len(problem.runs)).sum())
     return max(1.0, problem.doubt * math.sqrt(float(left @ left) / expected))
 
@@ -425,8 +476,17 @@ def trust_in(problem: Problem, left: Array) -> Array:
     return np.asarray(np.maximum(errs / max(float(np.median(errs)), SIGMAS.alike), 1.0))
 
 
-def reading_noise(problem: Problem, left: Array) -> Array:
-    """Return the standard deviation (c,) of the sample-to-sample changes in `left`, (n, c)."""
+def reading_noise(problem: Problem, left: Array, read: Flags | None = None) -> Array:
+    """Return the standard deviation (c,) of changes from reading to reading in `left`, (n, c).
+
+    `read` (n, c) tells whether a sample has a reading; default all have.
+    """
+    read = np.ones(left.shape, dtype=bool) if read is None else read
     at = np.cumsum([len(run.times) for run in problem.runs])[:-1]
-    changes = np.concatenate([np.diff(part, axis=0) for part in np.split(left, at)])
-    return np.asarray(np.sqrt(0.5 * np.mean(changes**2, axis=0)))
+
+    def noise(column: Array, there: Flags) -> float:
+        parts = zip(np.split(column, at), np.split(there, at), strict=True)
+        changes = np.concatenate([np.diff(part[rows]) for part, rows in parts])
+        return math.sqrt(0.5 * float(np.mean(changes**2)))
+
+    return np.array([noise(*each) for each in zip(left.T, read.T, strict=True)])

@@ -26,6 +26,7 @@ from calibrate.joint_aware.misfit import (
     Run,
     errors,
     fit_linear,
+    largest_displacement,
     physics_with,
     searched,
 )
@@ -221,10 +222,8 @@ def surprise_of(runs: Sequence[Run], doubt: float) -> Array:
     doubt : float
         Of the fit: at 1 the machine is one of the posterior.
     """
-    moved, sensed = (
-        np.max([np.abs(values).max(axis=0) for values in every], axis=0)
-        for every in ([run.displacement for run in runs], [run.temperature for run in runs])
-    )
+    moved = largest_displacement(runs)
+    sensed = np.max([np.abs(run.temperature).max(axis=0) for run in runs], axis=0)
     sensed = np.maximum(sensed, FAR * sensed.max())
     size = (1.0 - doubt**-2) * DOUBTED**2 * np.mean(np.square(moved))
     per_reading = np.append(size / (sensed.size * np.square(sensed)), 0.0)
@@ -396,9 +395,9 @@ def _draw(
         shape = np.append(tau * problem.shape, SIGMAS.offset)
         row += _unknown(rng, constant, shape, sensed_sigma)
     moved_sigma = SIGMAS.discrepancy_displacement / assumed
-    for row in displacement:
+    for row, seen in zip(displacement, problem.seen, strict=True):
         tau = _size(row, SIGMAS.discrepancy_displacement, drawing.least_share)
-        row += _unknown(rng, problem.states, tau * problem.shape, moved_sigma)
+        row += _unknown(rng, seen, tau * problem.shape, moved_sigma)
     return Drawn(
         factors_of(fit.parameters, coordinates),
         Discrepancy(problem.rates, temperature[:, :-1], displacement),

@@ -92,7 +92,8 @@ def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
     _warn_of_turns(positions, machine, where)
     factors = [np.interp(grid, times, column) for column in (*loads.T, *positions.T)]
     displacement = columns_of(response, "displacement", machine.axes)
-    if not displacement[0].any():
+    zeroed = "displacement_from" in response.attrs
+    if zeroed or not displacement[0].any():
         # A log is relative to its beginning, a machine under loads to its unloaded state.
         begun = starting_under(physics_with(machine, {}), loads[0])
         displacement = displacement + at_start(begun)[1]
@@ -106,6 +107,7 @@ def run_in(response: xr.Dataset, machine: ReducedMachine, where: str) -> Run:
         length=machine.step,
         gone=np.diff(np.column_stack(ends), axis=0, prepend=0.0) if ends else None,
         loads=loads[0],
+        zeroed=zeroed,
     )
 
 

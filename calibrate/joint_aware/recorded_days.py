@@ -52,7 +52,7 @@ class Results:
     relaxed: Array
     #: Shape (n, 3 (p + 1)): mean innovations, K.
     means: Array
-    #: Shape (n, axes): estimate less displacement, m.
+    #: Shape (n, axes): estimate less displacement, m; NaN where none was read.
     errors: Array
     #: Factor on its errors in the sum of squares.
     weight: float = 1.0
@@ -81,7 +81,7 @@ def shown_in(model: ObserverModel, run: Run) -> Results:
     """Return the signals of an observer in a run, as means over `MEAN`."""
     samples = samples_of(run, len(model.sources) + len(model.surfaces))
     results = JointAware(replace(model, power_shares={})).results(samples)
-    each = results.relaxed, results.means, results.displacement - run.displacement
+    each = results.relaxed, results.means, -run.beyond(results.displacement)
     ends = np.arange(MEAN, run.times[-1] + MEAN, MEAN)
     relaxed, means, errors = (means_in(values, run.times, ends)[0] for values in each)
     weight = SHORT if run.length * len(run.inputs) <= SLOW else 1.0
@@ -108,12 +108,14 @@ def with_days(
     every, parts = [*others, *days], list(days) if len(days) > 1 else _halves(days[0])
     found = _told(model, every)
     if not any(one.mean.any() for one in found):
-        return model, float(np.mean([np.mean(np.square(day.errors)) for day in days]))
+        return model, float(np.mean([np.nanmean(np.square(day.errors)) for day in days]))
     squares, allowed = np.zeros(len(parts)), np.zeros(len(parts))
     for k, part in enumerate(parts):
         seen = [*others, *parts[:k], *parts[k + 1 :]]
         left = _left(model, _knowing(model, _told(model, seen), seen), part)
-        squares[k], allowed[k] = np.mean(np.square(left)), np.mean(_expected(model, part))
+        read = np.isfinite(left)
+        squares[k] = np.mean(np.square(left), where=read)
+        allowed[k] = np.mean(_expected(model, part), where=read)
     # The original allowance counts as one more day, on which the band was exactly wide enough.
     shares = len(days) * np.mean(squares / allowed)
     share = float(1.0 + shares) / (1.0 + len(days))
@@ -125,7 +127,8 @@ def with_days(
 
 
 def _halves(day: Results) -> list[Results]:
-    middle = len(day.errors) // 2
+    read = np.flatnonzero(np.isfinite(day.errors).any(axis=1))
+    middle = int(read[read.size // 2])
     return [day.part(slice(middle)), day.part(slice(middle, None))]
 
 
@@ -144,7 +147,10 @@ def _told(model: ObserverModel, runs: Sequence[Results]) -> list[_Told]:
     """Coefficients of the features by runs, axis by axis."""
     features = np.vstack([run.weight * _features(model, run) for run in runs])
     errors = np.vstack([run.weight * run.errors for run in runs])
-    return [_regressed(features, error) for error in errors.T]
+    read = np.isfinite(errors)
+    return [
+        _regressed(features[own], error[own]) for own, error in zip(read.T, errors.T, strict=True)
+    ]
 
 
 def _regressed(features: Array, error: Array) -> _Told:

@@ -243,6 +243,11 @@ def _beyond_neighbours(times: Array, values: Array, least: float, rules: Thinnin
     before, after = _sides(column, rules)
     over, under = column - before.fillna(after), column - after.fillna(before)
     usual = over.abs().rolling(20 * rules.neighbours, center=True, min_periods=3).median()
+    # At the end of a run there is one side only, and the first readings of a warm-up are steep.
+    moves, count = column.diff().abs(), rules.neighbours - 1
+    steep = moves[::-1].rolling(count, min_periods=1).max()[::-1].shift(-2).where(before.isna())
+    steep = steep.fillna(moves.rolling(count, min_periods=1).max().shift(1).where(after.isna()))
+    usual = np.maximum(usual, steep.fillna(0.0))
     limit = np.maximum(rules.spike * usual, least * max(1.0, step / rules.interval))
     # A corner or a ramp lies above one side and below the other, or near one of them.
     spike = ((over > limit) & (under > limit)) | ((over < -limit) & (under < -limit))

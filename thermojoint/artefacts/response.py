@@ -456,7 +456,7 @@ def axes_that_move(
     InputError
         Nothing moves along any axis; `where` is the beginning of the message.
     """
-    every = [np.abs(columns_of(one, "displacement", axes)).max(axis=0) for one in responses]
+    every = [np.nanmax(np.abs(columns_of(one, "displacement", axes)), axis=0) for one in responses]
     peaks = np.max(every, axis=0)
     if not peaks.any():
         raise InputError(

@@ -106,18 +106,65 @@ def test_misread_samples_are_left_out_with_a_warning(case, response, tmp_path):
     with pytest.warns(UserWarning, match="y_um: samples with a spike, left out: 2"):
         found = runs_of(read_log([path]), case_from_data(case, "case", Path()), ["x_um", "y_um"])
     moved = response["displacement"].sel(axis=["x", "y"]).to_numpy()
-    wanted = np.delete(moved, [0, 20], axis=0) - moved[1]
+    wanted = moved - [moved[0, 0], moved[1, 1]]
+    wanted[[0, 20], 1] = np.nan
     assert found["run 1"]["displacement"].sel(axis=["x", "y"]).to_numpy() == pytest.approx(
-        wanted, abs=1e-11
+        wanted, abs=1e-11, nan_ok=True
     )
 
 
-def test_a_displacement_that_is_rarely_read_is_refused_by_its_name(case, response, tmp_path):
+@pytest.mark.filterwarnings("error")
+def test_the_cold_sensor_of_a_source_before_a_step_is_no_spike(case, response, tmp_path):
+    """Half of its rise comes between the first two readings."""
+    steep = response.copy(deep=True)
+    seconds = response["time"].to_numpy()
+    steep["temperature"].loc[{"probe": SENSORS[0]}] = 8.0 * (1.0 - 0.5 ** (seconds / seconds[1]))
+    log = read_log([log_of(steep, tmp_path / "log.csv")])
+    found = runs_of(log, case_from_data(case, "case", Path()), ["x_um", "y_um"])
+    assert found["run 1"].sizes["time"] == seconds.size
+
+
+def test_a_first_temperature_that_is_misread_is_left_out_with_a_warning(case, response, tmp_path):
     path = log_of(response, tmp_path / "log.csv")
+    header, first, *rows = path.read_text("utf-8").splitlines()
+    cells = first.split(",")
+    cells[2] = "85.0"
+    path.write_text("\n".join([header, ",".join(cells), *rows]), encoding="utf-8")
+    with pytest.warns(UserWarning, match=f"{SENSORS[0]}_degC: samples with a spike, left out: 1"):
+        found = runs_of(read_log([path]), case_from_data(case, "case", Path()), ["x_um", "y_um"])
+    assert found["run 1"].sizes["time"] == response.sizes["time"] - 1
+
+
+def probed(path, x, y):
+    """The log with the displacements in some of its rows only."""
     header, *rows = path.read_text("utf-8").splitlines()
-    rows = [row if k % 5 == 0 else row[: row.rindex(",") + 1] for k, row in enumerate(rows)]
-    path.write_text("\n".join([header, *rows]), encoding="utf-8")
-    with pytest.raises(InputError, match="samples lack a reading, most often of y_um; give rows"):
+    cells = [row.split(",") for row in rows]
+    for k, row in enumerate(cells):
+        row[-2:] = [row[-2] if k in x else "", row[-1] if k in y else ""]
+    path.write_text("\n".join([header, *map(",".join, cells)]), encoding="utf-8")
+    return path
+
+
+def test_a_probe_may_read_one_axis_after_the_other_and_seldom(case, response, tmp_path):
+    x, y = [0, 30, 60, 90], [1, 31, 61, 91]
+    path = probed(log_of(response, tmp_path / "log.csv"), x, y)
+    found = runs_of(read_log([path]), case_from_data(case, "case", Path()), ["x_um", "y_um"])
+    one = found["run 1"]
+    assert one.sizes["time"] == response.sizes["time"]
+    for axis, at in (("x", x), ("y", y)):
+        moved = response["displacement"].sel(axis=axis).to_numpy()
+        wanted = np.full(moved.size, np.nan)
+        wanted[at] = moved[at] - moved[at[0]]
+        assert one["displacement"].sel(axis=axis).to_numpy() == pytest.approx(
+            wanted, abs=1e-11, nan_ok=True
+        )
+
+
+def test_a_displacement_that_is_hardly_read_is_refused_by_its_name(case, response, tmp_path):
+    path = probed(log_of(response, tmp_path / "log.csv"), range(0, 10_000, 5), [0, 60])
+    with pytest.raises(
+        InputError, match="run 1: y_um: 2 readings beside all others; a run needs 3"
+    ):
         runs_of(read_log([path]), case_from_data(case, "case", Path()), ["x_um", "y_um"])
 
 

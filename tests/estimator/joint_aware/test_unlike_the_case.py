@@ -93,6 +93,25 @@ def test_errors_that_no_parameter_explains_leave_more_unknown(small):
     assert other.covariance[0, 0] > own.covariance[0, 0]
 
 
+def test_few_readings_of_a_displacement_from_a_warm_machine_on_tell_its_expansion(small):
+    """Both axes are read in turn; each reading is relative to the first one of its axis."""
+
+    def probed(run):
+        moved = np.full_like(run.displacement, np.nan)
+        for axis, rows in enumerate([slice(20, None, 10), slice(21, None, 10)]):
+            read = run.displacement[rows, axis]
+            moved[rows, axis] = read - read[0]
+        return replace(run, displacement=moved, zeroed=True)
+
+    runs = runs_of(small, {"expansion": 1.03})
+    every, few = (
+        fit_physics(small, each, ["expansion"], Search(starts=0))
+        for each in (runs, [probed(run) for run in runs])
+    )
+    assert few.coordinates == pytest.approx(every.coordinates, abs=0.2 * few.spread[0])
+    assert few.doubt == 1.0
+
+
 def test_noisy_sensors_do_not_make_a_machine_unlike_its_case(small):
     """Their noise leaves several times what is assumed of errors that last for a run."""
     rng = np.random.default_rng(1)
