@@ -11,8 +11,8 @@ they are, with a time that is made up. After each publication:
   since then, and a step (and half a step where a restart changed the resolution);
 - it is not beyond the largest offset, unless a limit that was lowered is still on its way;
 - both hold at every position of the stroke where an axis receives a slope, too;
-- its status is Good only if the last sample gave a usable estimate, which is not too old, and the
-  control, where a handshake is asked for, has enabled it and given a sign of life.
+- its status is Good only if the last estimate is usable and not too old, and the control, where a
+  handshake is asked for, has enabled it and given a sign of life.
 
 A control that is sent another P0 takes it over with its offset and slope; where a handshake is
 asked for, it does so before it answers, while its machine stands.
@@ -243,8 +243,8 @@ class Offsets(RuleBasedStateMachine):
         self.control: dict[str, tuple[Line, float]] = {}
         self.allowed: dict[str, Allowed] = {}
         self.unheard: set[str] = set()
-        # When the last sample was taken, by both clocks, and by which model; whether an offset may
-        # follow it, and how late it was, s.
+        # When the last estimate was made, by both clocks, and by which model; whether an offset may
+        # follow it, and how late its sample was, s.
         self.estimated, self.by = (-math.inf, -math.inf), math.nan
         self.sound, self.late = False, 0.0
         # Whether the control is connected and enables offsets; whether it has been away since it
@@ -310,18 +310,18 @@ class Offsets(RuleBasedStateMachine):
     def absorb(self, readings: Sequence[tuple[float, float, float]], until: str = "") -> None:
         """Take readings (time by the source, value, kind); a kill may come before the end."""
         arrivals = [Arrival(MACHINE, at, told, self.times.now) for at, *told in readings]
-        before = self.fleet.machines[MACHINE].state.latest.number
+        before = self.fleet.machines[MACHINE].state.usable.number
         results = processing.process(self.fleet, arrivals, *self.times)
         if until == "before the commit":
             return
         changed = list(results.publications.values())
         self.keep(Batch(results.samples, (), (), results.gaps, self.received(changed)))
-        said = self.fleet.machines[MACHINE].state.latest
+        said = self.fleet.machines[MACHINE].state.usable
         if said.number != before:
             self.estimated = self.times.now, self.true
             self.late = max(0.0, self.times.now - said.time - 5.0 - INTERVAL)
             self.by = self.gain
-            self.sound = bool(said.readings[1] == SOUND and np.isfinite(said.readings[0]))
+            self.sound = bool(said.readings[1] == SOUND)
         if until == "before the publication":
             return
         for one in changed:
@@ -423,7 +423,7 @@ class Offsets(RuleBasedStateMachine):
             age = max(self.late, min(self.true - true, abs(self.times.now - wall)))
             # A model that took no sample leaves the one before it where that was.
             sound = self.sound and self.by == self.gain
-            assert sound, "good, and the last sample gave no usable estimate"
+            assert sound, "good, and the last estimate is not usable"
             assert age <= oldest + 1e-6, f"good, and the last estimate is {age:.1f} s old"
             if self.model.handshake is not None:
                 at, enabled = self.told

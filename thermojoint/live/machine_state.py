@@ -121,8 +121,11 @@ def process_sample(
     sample: tuple[float, tuple[float, ...]],
     times: Times,
     age: float,
+    silence: float,
 ) -> tuple[MachineState, str]:
     """Return a machine after one sample, and why the estimator refused the sample, or "".
+
+    A sample that is refused is a pause: the offsets follow the last estimate until it is too old.
 
     Parameters
     ----------
@@ -135,8 +138,8 @@ def process_sample(
         missing ones.
     times : Times
         Time of publication.
-    age : float
-        Age of the sample at that time, s.
+    age, silence : float
+        Age of the sample, and of the last estimate before it, at that time, s.
     """
     (instant, readings), now = sample, times.now
     state = update_handshake(model, state, times.clock)
@@ -148,7 +151,7 @@ def process_sample(
         estimator_state, estimate = model.estimator.sample(state.estimator_state, instant, values)
     except ThermojointError as error:
         # The sample is stored, so that it is not read again; the estimate does not change.
-        state = _cycle_output(model, state, times.clock, None)
+        state = _cycle_output(model, state, times.clock, _targets(model, silence, state.usable))
         nothing = replace(
             _empty_publication(state.name, model.layout, now),
             number=number,
@@ -161,8 +164,7 @@ def process_sample(
         )
         return state._replace(cold=cold, latest=nothing), str(error)
     words, reached = estimate.words, estimate.displacement
-    target = _targets(model, estimate) if _is_usable(model, age, estimate) else None
-    state = _cycle_output(model, state, times.clock, target)
+    state = _cycle_output(model, state, times.clock, _targets(model, age, estimate))
     request = state.request
     if model.request_limits is not None:
         # A refused reading needs confirmation: the request remains.
@@ -319,14 +321,13 @@ def _is_usable(model: LoadedModel, age: float, last: Estimate | Publication) -> 
     return usable(model.output.trust, age, band, words)
 
 
-def _targets(model: LoadedModel, estimate: Estimate) -> Array | None:
-    """Return the targets of the offsets and slopes."""
-    if model.output is None:
+def _targets(model: LoadedModel, age: float, last: Estimate | Publication) -> Array | None:
+    """Return the targets of the offsets and slopes by an estimate of an age (s) that is usable."""
+    if model.output is None or not _is_usable(model, age, last):
         return None
-    lines = _lines(model, estimate)
-    places = {name: float(estimate.details[k]) for name, k in model.places.items()}
-    axes = model.layout.axes
-    return followed(model.output.output, axes, estimate.displacement, lines, places)
+    places = {name: float(last.details[k]) for name, k in model.places.items()}
+    seen = last.displacement, _lines(model, last), places
+    return followed(model.output.output, model.layout.axes, *seen)
 
 
 def _lines(model: LoadedModel, last: Estimate | Publication) -> Lines | None:
@@ -407,7 +408,7 @@ def restore_state(
     for later in stored.later:
         row = from_row(name, later.number, stored.layout, np.frombuffer(later.row), later.status)
         sample = row.time, tuple(row.readings.tolist())
-        state, _ = process_sample(model, state, sample, Times(row.published, math.nan), 0.0)
+        state, _ = process_sample(model, state, sample, Times(row.published, math.nan), 0.0, 0.0)
     rest = json.loads(stored.newest)
     output = _restore_output(model, state, received, times)
     handshake = _restore_handshake(model, output, received, times.clock)
@@ -473,7 +474,7 @@ def _restore_output(
     """
     if model.output is None:
         return None
-    settings, trust, last = model.output.output, model.output.trust, state.latest
+    settings, trust, last = model.output.output, model.output.trust, state.usable
     if received is None:
         return at_zero(settings)
     silence = max(0.0, times.now - received.at)

@@ -173,10 +173,13 @@ def _process_sample(
         results.gaps.append(Gap(name, before.time, instant, why))
         fleet.log.say(now, "hole", f"{instant - before.time:.3f} s without samples: {why}", name)
     age = age_of(machine.model.rule, fleet.behind, instant, now)
+    silence = silence_of(machine, times)
     if not has_reading(machine.model, machine.model.intake.usable(sample[1])):
         # A sample without any reading counts as silence, whatever its estimate.
-        age = max(age, silence_of(machine, times))
-    machine.state, refusal = process_sample(machine.model, machine.state, sample, times, age)
+        age = max(age, silence)
+    machine.state, refusal = process_sample(
+        machine.model, machine.state, sample, times, age, silence
+    )
     machine.awaits_first_sample = False
     latest = machine.state.latest
     if refusal:

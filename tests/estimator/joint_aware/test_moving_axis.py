@@ -386,7 +386,7 @@ def test_a_control_that_interpolates_is_given_a_table(estimator, samples, tmp_pa
     machine = initial_state("mill", model, samples[0][0])
     for time, *values, place in samples[:20]:
         arrived = (*values, 1e3 * place, np.nan, np.nan)
-        machine, _ = process_sample(model, machine, (time, arrived), Times(time, time), 0.0)
+        machine, _ = process_sample(model, machine, (time, arrived), Times(time, time), 0.0, 1.0)
     said = as_json(machine.latest)
     for axis, at in (("low", -100), ("high", 200)):
         displacement = said["details"][f"x_at_{at}_um"]

@@ -12,8 +12,10 @@ from machine_fleet import fleet_of, keep
 from small_disk import fill, mounted
 
 from benchmarks import offset_invariant
+from estimator.estimate_table import Row
 from estimator.quality import Quality
 from thermojoint.artefacts.errors import InputError
+from thermojoint.compensation.offsets.preview import preview
 from thermojoint.compensation.offsets.settings import read_settings
 from thermojoint.live import processing
 from thermojoint.live.archive import Archive
@@ -79,9 +81,9 @@ def at(k):
     return Times(START + k, START + k)
 
 
-def sampled(k, given=None):
-    """A sample of then, taken then."""
-    return (START + k, given or readings(k)), at(k), 0.0
+def sampled(k, given=None, silence=1.0):
+    """A sample of then, taken then, so many seconds after the last estimate."""
+    return (START + k, given or readings(k)), at(k), 0.0, silence
 
 
 def after(model, count):
@@ -374,15 +376,39 @@ def test_refused_samples_neither_hold_an_offset_nor_hurry_it(model):
     """The output's clock is the service's own: refused samples and silence freeze alike."""
     machine, alone = after(model, 60), after(model, 60)
     for k in range(60, 110):
-        machine, refusal = process_sample(model, machine, *sampled(k, (math.nan, *readings(k)[1:])))
+        broken = sampled(k, (math.nan, *readings(k)[1:]), silence=k - 59.0)
+        machine, refusal = process_sample(model, machine, *broken)
         assert refusal
+        assert machine.latest.offset_mode == (
+            "follow" if k <= 64 else "freeze" if k <= 75 else "decay"
+        )
     for age in (20.0, 50.0, 51.0, 60.0, 100.0):
         _, expected = after_silence(model, alone, age, at(59 + age), WatchdogSection())
         if age > 50.0:
             machine, said = after_silence(model, machine, age, at(59 + age), WatchdogSection())
             assert machine.output.time == START + 59 + age
-            # The refused ones froze it at their first, the silence only when it was noticed.
+            # The refused ones froze it when the estimate was too old, the silence only when it was
+            # noticed.
             assert abs(said.offsets[0]) <= abs(expected.offsets[0])
+
+
+def test_a_service_sends_what_compensate_previews_for_the_same_readings(model, store, tmp_path):
+    """A sample that FCHS refuses is a pause in both, as it has no row in a table of estimates."""
+    text = OFFSETS.replace("1000.0", "0.2").replace("oldest_s", "recover_s = 3.0\noldest_s")
+    model = with_offsets(model, text, tmp_path)
+    fleet, rows, sent = fleet_of(model, store, START), [], []
+    for k in range(120):
+        lost = k % 7 == 3 or 60 <= k < 90
+        given = (1e30, *readings(k)[1:]) if lost else readings(k)
+        keep(fleet, store, Arrival("mill", START + k, given, START + k))
+        processing.check_silence(fleet, *at(k))
+        mill = fleet.machines["mill"].state
+        sent.append((mill.latest.offsets[0], mill.latest.offset_mode))
+        if not lost:
+            rows.append(Row(START + k, mill.usable.displacement, mill.usable.band, "ok"))
+    previewed = list(preview(model.output, model.layout.axes, rows))
+    assert [(one.offsets[0], one.state) for one in previewed] == sent
+    assert {mode for _, mode in sent} == {"follow", "freeze", "decay"}
 
 
 @pytest.mark.parametrize("resolution", [0.1, 1.0, 10.0])
