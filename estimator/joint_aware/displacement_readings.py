@@ -25,6 +25,9 @@ from thermojoint.artefacts.arrays import Array
 #: Most enlargements of the model error, each by the factor by which a reading still exceeds its
 #: variance; other parts of the variance, such as the noise of the reading, are not enlarged.
 ENLARGED = 10
+#: Largest variance of a part of the model error. Only readings that contradict each other enlarge
+#: it again and again, until it would overflow: those that need more are refused.
+LARGEST = 1e100
 
 
 @dataclass(frozen=True)
@@ -159,12 +162,13 @@ def correct_by(
     refused = known.refused.copy()
     if beyond > probe.gate**2:
         apart = np.linalg.norm((refused - innovation)[at])
-        if not apart <= probe.alike * np.linalg.norm(innovation[at]):
-            refused[at] = innovation[at]
-            return Correction(np.zeros(len(factor)), factor, known._replace(refused=refused), True)
-        for _ in range(ENLARGED):
+        alike = apart <= probe.alike * np.linalg.norm(innovation[at])
+        for _ in range(ENLARGED if alike else 0):
             before, across = beyond * before, beyond * across
             own, covariance, beyond = expected(across)
+        if not alike or before.max() > LARGEST:
+            refused[at] = innovation[at]
+            return Correction(np.zeros(len(factor)), factor, known._replace(refused=refused), True)
     refused[at] = np.nan
     whitened = np.linalg.solve(covariance, innovation[at])
     after = before - across.T @ np.linalg.solve(covariance, across)

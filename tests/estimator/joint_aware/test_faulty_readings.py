@@ -140,6 +140,17 @@ def test_a_reading_that_is_confirmed_counts_however_sure_the_model_is(estimator,
     assert np.all(told[100].band > 0.5 * MICRO)
 
 
+def test_readings_that_contradict_each_other_again_and_again_are_refused(estimator, response):
+    """Two of a kind in turn: each second one is confirmed until the model's error has no more."""
+    samples = np.array(list(samples_in(response, SENSORS)))[:120]
+    signs = np.column_stack(
+        [np.resize([1.0, 1.0, -1.0, -1.0], 120), np.resize([1.0] * 4 + [-1.0] * 4, 120)]
+    )
+    _, found = estimates(estimator, np.hstack([samples, signs * [5e-3, 3e-3]]).tolist())
+    assert np.isfinite([one.band for one in found]).all()
+    assert all(Status.READING_REFUSED in one.status for one in found[100:])
+
+
 def test_readings_between_two_samples_go_with_the_later_one():
     samples = [(0.0, 1.0), (2.0, 1.0), (4.0, 1.0)]
     times, values = np.array([-1.0, 1.0, 1.5]), np.array([[9.0, 9.0], [1.0, np.nan], [2.0, 3.0]])
