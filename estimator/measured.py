@@ -19,6 +19,7 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log
 from thermojoint.artefacts.quantities import UNITS, Column
+from thermojoint.artefacts.tables.clock import tells_date
 from thermojoint.models.parameters import Model
 from thermojoint.models.sensors import readings, roles_in
 
@@ -187,6 +188,35 @@ def nominal_interval(
     if len(first) < 2:
         raise InputError(f"{where}: fewer than two samples; give more, or --interval-s")
     return first[1][0] - first[0][0], chain(first, samples)
+
+
+def going_on(samples: Iterator[Sample], last: float, where: str, state: str) -> Iterator[Sample]:
+    """Yield samples that continue a run as they arrive.
+
+    Parameters
+    ----------
+    samples : iterator of tuple
+        As `samples_in` yields them.
+    last : float
+        Time of the last sample of the run, s; NaN for none.
+    where, state : str
+        Origin of the samples, and of the run.
+
+    Raises
+    ------
+    InputError
+        Only one of the clocks has a date, or the samples do not come after the run.
+    """
+    for first in islice(samples, 1):
+        clocks = f"{where}: begins at {first[0]:.15g} s, and {state} ended at {last:.15g} s"
+        if not math.isnan(last) and tells_date(first[0]) != tells_date(last):
+            raise InputError(f"{clocks}: only one has a date; give both the same clock")
+        if first[0] <= last:
+            raise InputError(
+                f"{clocks}; give what comes after it, with dates where a midnight is between them"
+            )
+        yield first
+    yield from samples
 
 
 def some(samples: Iterable[Sample], where: str) -> Iterator[Sample]:

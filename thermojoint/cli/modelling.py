@@ -288,6 +288,7 @@ def estimate(  # noqa: PLR0913 - the options of a command
         if resume:
             estimator, state = resumed(kind, given, options, resume)
             arguments.check_same_pace(kind, estimator, interval, run_length)
+            samples = measured.going_on(samples, float(state[0]), where, str(resume))
         else:
             estimator = started(kind, given, options)
             warm_state = kind.warm_state if warm else None
@@ -306,8 +307,7 @@ def estimate(  # noqa: PLR0913 - the options of a command
             along = getattr(given, "positions", ())
             places = [name for name in along if f"reading {name}" in names]
             read = read_probe_readings(readings, (*estimator.axes, *places))
-            last = float(state[0])  # time of the previous sample, in every estimator
-            samples = with_probe_readings(samples, *read, len(places), last)
+            samples = with_probe_readings(samples, *read, len(places), float(state[0]))
 
         def keep(state: Array) -> None:
             if save:

@@ -140,6 +140,25 @@ def test_a_state_may_be_replaced_by_its_successor(command, at_hand):
     assert (at_hand / "state.json").read_bytes() != before
 
 
+@pytest.mark.parametrize(
+    ("ended", "begins", "told"),
+    [
+        ("23:59:58", "00:00:00", "begins at 0 s, and state.json ended at 86398 s; give what comes"),
+        ("23:59:58", "2026-03-03T00:00:00", "ended at 86398 s: only one has a date"),
+        ("2026-03-02T23:59:58", "00:00:00", "ended at 1772495998 s: only one has a date"),
+    ],
+)
+def test_a_run_is_not_continued_on_another_clock(command, at_hand, ended, begins, told):
+    """A date alone would be a pause of decades."""
+    estimate = ["estimate", "model.json", "rows.csv", "--interval-s", "2", "--out", "e.csv"]
+    row = "time,delta_T_K,T1_K,T2_K\n{},0.2,0,0\n"
+    (at_hand / "rows.csv").write_text(row.format(ended))
+    assert command(*estimate, "--save-state", "state.json")[0] == 0
+    (at_hand / "rows.csv").write_text(row.format(begins))
+    code, _, err = command(*estimate, "--continue", "state.json")
+    assert (code, told in err) == (2, True), err
+
+
 def test_a_run_is_continued_by_a_single_sample(command, at_hand):
     """Its coefficients are those of the run: no interval has to be given."""
     estimate = ["estimate", "model.json", "samples.csv", "--out"]
