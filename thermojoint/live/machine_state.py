@@ -151,7 +151,9 @@ def process_sample(
         estimator_state, estimate = model.estimator.sample(state.estimator_state, instant, values)
     except ThermojointError as error:
         # The sample is stored, so that it is not read again; the estimate does not change.
-        state = _cycle_output(model, state, times.clock, _targets(model, silence, state.usable))
+        # Before the first one, too, it is a pause: there is nothing yet that it could freeze.
+        if state.output is not None and not math.isnan(state.output.time):
+            state = _cycle_output(model, state, times.clock, _targets(model, silence, state.usable))
         nothing = replace(
             _empty_publication(state.name, model.layout, now),
             number=number,
