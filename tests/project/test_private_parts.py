@@ -20,6 +20,8 @@ from numba import types
 from repository import ROOT
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
+from thermojoint.live.opcua_internals import _ON_SUBSCRIPTIONS
+
 #: The module that fences a library's private parts, and the library.
 FENCES = {
     "fesim/joint/linear_system.py": "numba",
@@ -121,6 +123,8 @@ def test_asyncua_takes_the_limits_and_shows_its_nodes():
         service = inner.subscription_service
         for name in ("create_monitored_items", "create_subscription"):
             assert asyncio.iscoroutinefunction(getattr(service, name)), relied_on(name, where)
+        for name in (*_ON_SUBSCRIPTIONS, "browse", "history_read", "create_subscription"):
+            assert callable(getattr(inner.isession, name)), relied_on(name, where)
         assert service.subscriptions == {}, relied_on("subscriptions", where)
         assert inner._external_sessions == {}, relied_on("_external_sessions", where)
         assert callable(inner.decrypt_user_token), relied_on("decrypt_user_token", where)

@@ -6,8 +6,9 @@ tests/project/test_private_parts.py lists what it relies on; `pyproject.toml` bo
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, Protocol
 
 from asyncua import ua
@@ -28,6 +29,12 @@ _MOST_OF_ONE, _MOST_WAITING = 8, 64
 CHECKED_S = 3.0
 #: Time to log in, s.
 _LOGIN_S = 10.0
+#: Requests of a session that name subscriptions by their number.
+_ON_SUBSCRIPTIONS = (
+    *("create_monitored_items", "modify_monitored_items", "delete_monitored_items"),
+    *("modify_subscription", "delete_subscriptions", "transfer_subscriptions"),
+    *("set_monitoring_mode", "set_publishing_mode", "republish"),
+)
 
 
 def value_of(server: Server, nodeid: ua.NodeId) -> Any:  # noqa: ANN401
@@ -123,30 +130,38 @@ async def disconnect_ended(server: Server) -> None:
 
 
 def enforce_access(server: Server, access: Access) -> None:
-    """Pass on the address of each log-in, and hide nodes that a user may not see."""
+    """Pass on the address of each log-in, and hide what a user may not see.
+
+    That is nodes, and the subscriptions of other users: a number is easily guessed, and whoever
+    takes one over receives its values.
+    """
     inner = server.iserver
     decrypt, service = inner.decrypt_user_token, inner.subscription_service
-    create, begin = service.create_monitored_items, inner.create_session
+    begin = inner.create_session
 
     def decrypt_of(session: Any, token: ua.UserNameIdentityToken) -> tuple[str, str]:  # noqa: ANN401
         # The name of a session is the address of its connection.
         access.peer = str(session.name[0]) if session.name else ""
         return decrypt(session, token)
 
-    async def create_seen(params: ua.CreateMonitoredItemsParameters) -> Any:  # noqa: ANN401
-        owner = getattr(service.subscriptions.get(params.SubscriptionId), "session_id", None)
-        for session in list(inner._external_sessions.values()):
-            if session.session_id == owner and any(
-                access.refusal(session.user, item.ItemToMonitor.NodeId, "viewer")
-                for item in params.ItemsToCreate
-            ):
-                raise ServiceError(ua.StatusCodes.BadUserAccessDenied)
-        return await create(params)
-
     def session_of(*given: Any, **named: Any) -> Any:  # noqa: ANN401
         session = begin(*given, **named)
         browse, translate = session.browse, session.translate_browsepaths_to_nodeids
-        read_history = session.history_read
+        read_history, subscribe = session.history_read, session.create_subscription
+
+        async def subscribe_owned(*given: Any, **named: Any) -> Any:  # noqa: ANN401
+            result = await subscribe(*given, **named)
+            service.subscriptions[result.SubscriptionId].owner = session.user.name
+            return result
+
+        def permitted(request: Callable[..., Any], params: Any, *rest: Any) -> Any:  # noqa: ANN401
+            named = filter(None, map(service.subscriptions.get, _subscriptions_in(params)))
+            if any(one.owner != session.user.name for one in named) or any(
+                access.refusal(session.user, item.ItemToMonitor.NodeId, "viewer")
+                for item in getattr(params, "ItemsToCreate", ())
+            ):
+                raise ServiceError(ua.StatusCodes.BadUserAccessDenied)
+            return request(params, *rest)
 
         async def browse_seen(params: ua.BrowseParameters) -> list[ua.BrowseResult]:
             results = await browse(params)
@@ -178,13 +193,21 @@ def enforce_access(server: Server, access: Access) -> None:
                 results.append(ua.HistoryReadResult(StatusCode=ua.StatusCode(code)))
             return results
 
-        session.history_read = history_seen
+        session.history_read, session.create_subscription = history_seen, subscribe_owned
         session.browse, session.translate_browsepaths_to_nodeids = browse_seen, translate_seen
+        for name in _ON_SUBSCRIPTIONS:
+            setattr(session, name, partial(permitted, getattr(session, name)))
         return session
 
     inner.create_session = session_of
     inner.decrypt_user_token = decrypt_of
-    service.create_monitored_items = create_seen
+
+
+def _subscriptions_in(params: Any) -> Sequence[int]:  # noqa: ANN401
+    """Return the numbers of the subscriptions that a request names."""
+    one = getattr(params, "SubscriptionId", None)
+    # A request to delete some has the numbers alone.
+    return [one] if one is not None else getattr(params, "SubscriptionIds", params) or ()
 
 
 def _cap_items(inner: Any, most: int) -> None:  # noqa: ANN401

@@ -192,6 +192,36 @@ def test_a_value_that_becomes_bad_is_an_alarm_to_all_who_see_the_machine(tmp_pat
     assert first.Quality.name == "BadNoCommunication"
 
 
+def test_nobody_takes_reads_changes_or_ends_a_subscription_of_another_user(tmp_path):
+    async def live():
+        async with (
+            plant(tmp_path) as (publisher, port),
+            await client_of(tmp_path, port, "plant", "plants-secret") as of_plant,
+            await client_of(tmp_path, port, "plant", "plants-secret") as of_plant_too,
+            await client_of(tmp_path, port, "mill", "mills-secret") as of_mill,
+        ):
+            heard, subscription = await hears(of_plant)
+            number, asked = subscription.subscription_id, of_mill.uaclient.session
+            refused = [
+                asked.transfer_subscriptions(ua.TransferSubscriptionsParameters([number], True)),
+                asked.republish(number, 1),
+                asked.delete_subscriptions([number]),
+                asked.set_publishing_mode(ua.SetPublishingModeParameters(False, [number])),
+                asked.create_monitored_items(ua.CreateMonitoredItemsParameters(number)),
+            ]
+            for one in refused:
+                with pytest.raises(ua.UaError, match="BadUserAccessDenied"):
+                    await one
+            publisher.publish([bad(2, "lathe-1")])
+            await until(heard.alarms)
+            # A client that has lost its connection takes its own along.
+            params = ua.TransferSubscriptionsParameters([number], True)
+            (moved,) = await of_plant_too.uaclient.transfer_subscriptions(params)
+            return moved.StatusCode
+
+    assert asyncio.run(live()).is_good()
+
+
 def test_the_history_of_a_value_is_read_whole_in_either_direction_by_who_may(tmp_path):
     async def live():
         async with (
