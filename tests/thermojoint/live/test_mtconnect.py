@@ -361,9 +361,14 @@ def test_a_position_of_other_readings_or_of_another_device_is_not_used():
     position = mtconnect.arrival_of("mill", MAPPING, held, START + 2.0, math.inf).position
     again = mtconnect.held_of(position, MAPPING)
     assert (again.instance, again.next, again.due(MAPPING)) == (1, 7, START + 3.0)
-    for other in (MAPPING._replace(device="x"), MAPPING._replace(items=("T2", "x_um"))):
+    for other in (
+        MAPPING._replace(device="x"),
+        MAPPING._replace(items=("T2", "x_um")),
+        # The values are in the units of the readings, which another model may have in others.
+        MAPPING._replace(readings=("T1_K", "x_um")),
+    ):
         assert mtconnect.held_of(position, other) is None
-    for damaged in (None, 5, "x", [1, 2], [*position[:-1], [["a", "b", 1.0]] * 2]):
+    for damaged in (None, 5, "x", [1, 2], [*position[:-1], [["a", "a", "b", 1.0]] * 2]):
         assert mtconnect.held_of(damaged, MAPPING) is None
 
 

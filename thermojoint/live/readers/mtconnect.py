@@ -367,8 +367,10 @@ def arrival_of(
     readings += [None if math.isnan(value) else value for value in held.values[mapping.wanted :]]
     still_held = _still_held(held.values, mapping.wanted)
     items = [
-        [name, None if math.isnan(value) else value, since]
-        for name, value, since in zip(mapping.items, still_held, held.since, strict=True)
+        [*names, None if math.isnan(value) else value, since]
+        for *names, value, since in zip(
+            mapping.readings, mapping.items, still_held, held.since, strict=True
+        )
     ]
     position = [mapping.device, held.instance, held.next, held.due(mapping), items]
     return Arrival(machine, instant, readings, clock.time(), position)
@@ -378,12 +380,12 @@ def held_of(position: Any, mapping: ItemMapping) -> Held | None:  # noqa: ANN401
     """Return the held values of a position; None if it is of another source or other readings."""
     try:
         device, instance, following, due, items = position
-        names = tuple(name for name, _, _ in items)
-        values = tuple(math.nan if value is None else float(value) for _, value, _ in items)
-        since = tuple(float(since) for _, _, since in items)
+        readings, names, values, since = zip(*items, strict=True)
+        values = tuple(math.nan if value is None else float(value) for value in values)
+        since = tuple(map(float, since))
     except (TypeError, ValueError):
         return None
-    if (device, names) != (mapping.device, mapping.items):
+    if (device, readings, names) != (mapping.device, mapping.readings, mapping.items):
         return None
     return Held(int(instance), int(following), float(due), 0, values, since)
 
