@@ -189,6 +189,19 @@ def test_a_clock_without_a_date_goes_on_in_the_file_of_the_next_day(tmp_path):
     np.testing.assert_array_equal(np.diff(times), [300.0] * 3)
 
 
+def test_midnights_before_a_new_start_of_the_clock_do_not_count_in_the_next_file(tmp_path):
+    names = "Uhrzeit;T1_degC;T2_degC\n"
+    path = file_of(tmp_path / "log.csv", names, ["23:50:00", "00:00:00", "00:05:00"])
+    arrivals, _ = read(pipe_of(path, *NAMES))
+    later = replace(pipe_of(path, *NAMES), starts=86400.0)
+    # A corrected start of the same file leaves its midnights passed.
+    again, _ = read(later, arrivals[-2].position)
+    assert [one.time for one in again] == [2 * 86400.0 + 300.0]
+    file_of(path, names, ["08:00:00"])
+    [first], _ = read(later, arrivals[-1].position)
+    assert first.time == 86400.0 + 8 * 3600.0
+
+
 async def rotated(reader, later):
     """The times that a reader finds in a file that is replaced by another one when it is read."""
     times, waiting = [], list(later)

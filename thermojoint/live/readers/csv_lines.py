@@ -238,8 +238,11 @@ async def _read_rows(
     if _continues(position, first, file):
         at = int(position["offset"])
         header = _in_decimal(header, header.layout.dialect.decimal or position.get("decimal", ""))
+    elif isinstance(position, dict) and position.get("starts", reader.starts) != reader.starts:
+        # The settings now say when this file starts: after the midnights of the one before.
+        hands = Hands()
     file.seek(at)
-    mark = {"sum": crc32(first)}
+    mark: dict[str, Any] = {"sum": crc32(first), "starts": reader.starts}
     rest, skipping = b"", False
     while True:
         block = file.read(_BLOCK)
