@@ -58,6 +58,8 @@ class Machine:
     #: since 1970.
     last_usable: float
     last_usable_time: float
+    #: Time of its last sample, under any model, s since 1970; NaN before the first.
+    last_time: float = math.nan
     #: Whether no sample has arrived since the service started.
     awaits_first_sample: bool = True
     #: Quality and status as last published.
@@ -166,12 +168,12 @@ def _process_sample(
 ) -> None:
     """Process one sample of one machine."""
     instant, now = sample[0], times.now
-    before = machine.state.latest
-    name = machine.state.name
-    if before.number and instant - before.time > _GAP * machine.model.rule.interval:
+    before, since = machine.state.latest, machine.last_time
+    name, machine.last_time = machine.state.name, instant
+    if instant - since > _GAP * machine.model.rule.interval:
         why = "the service was down" if machine.awaits_first_sample else "no readings"
-        results.gaps.append(Gap(name, before.time, instant, why))
-        fleet.log.say(now, "hole", f"{instant - before.time:.3f} s without samples: {why}", name)
+        results.gaps.append(Gap(name, since, instant, why))
+        fleet.log.say(now, "hole", f"{instant - since:.3f} s without samples: {why}", name)
     age = age_of(machine.model.rule, fleet.behind, instant, now)
     silence = silence_of(machine, times)
     if not has_reading(machine.model, machine.model.intake.usable(sample[1])):

@@ -241,9 +241,17 @@ def _restored_machines(
         )
         # Samples of another layout stay in their era.
         rows = [(np.frombuffer(taken.row), taken.status) for taken in every[eras[name]].later]
-        last_time = times.now - (times.clock - last_usable)
+        last_usable_time = times.now - (times.clock - last_usable)
+        latest = state.latest if state.latest.number else archive.latest(name)
         by_name[name] = Machine(
-            model, eras[name], state, position, last_usable, last_time, rows=rows
+            model,
+            eras[name],
+            state,
+            position,
+            last_usable,
+            last_usable_time,
+            latest.time if latest else math.nan,
+            rows=rows,
         )
         if state.latest.number:
             log.say(now, "restored", f"{state.latest.number} samples, {len(rows)} again", name)

@@ -575,6 +575,18 @@ def started(model, store, path, log, k):
     return restored_fleet(service, {"m": model}, store, log, fresh_metrics(), at(k))
 
 
+@pytest.mark.parametrize("digest", [None, "another"])
+def test_a_gap_over_a_restart_is_marked_under_another_model_too(model, store, path, fleet, digest):
+    feed(fleet, store, 0, 10)
+    other = model if digest is None else replace(model, digest=digest)
+    fleet, _ = started(other, store, path, EventLog(), 50)
+    feed(fleet, store, 50, 60)
+    gaps = Archive(path).history("mill", 0.0, 1e11, 1000).gaps
+    assert [(one.since - START, one.until - START, one.why) for one in gaps] == [
+        (9.0, 50.0, "the service was down")
+    ]
+
+
 @pytest.mark.parametrize("kept_at", [30, 60, 90])
 def test_a_restart_ends_no_silence(deaf, store, path, kept_at):
     """Of samples without any reading: it counts from the last one that had a reading."""
