@@ -31,7 +31,7 @@ from thermojoint.live.machine_state import (
 from thermojoint.live.metrics import Metrics
 from thermojoint.live.next_reading import ReadingRequest
 from thermojoint.live.publication import Publication, as_row
-from thermojoint.live.samples import AssemblyRule, assemble
+from thermojoint.live.samples import AssemblyRule, AssemblyStep, assemble
 from thermojoint.live.settings import WatchdogSection
 from thermojoint.live.store import Checkpoint, Gap, ReceivedOffsets, StoredSample
 
@@ -129,10 +129,7 @@ def process(fleet: Fleet, arrivals: Iterable[Arrival], now: float, clock: float)
         machine = fleet.machines.get(arrival.machine)
         if machine is None:
             continue
-        rule = machine.model.rule
-        step = assemble(
-            rule, machine.state.assembly, arrival.time, arrival.readings, (now, now + fleet.ahead)
-        )
+        step = _assembled(fleet, machine, arrival, now)
         fleet.metrics.arrivals.labels(step.verdict).inc()
         machine.position = arrival.position
         _note_set_back(fleet, machine, arrival.time, step.verdict, Times(now, clock))
@@ -157,6 +154,19 @@ def process(fleet: Fleet, arrivals: Iterable[Arrival], now: float, clock: float)
             rest = rest_of(machine.state, machine.position)
             results.samples[-1] = results.samples[-1]._replace(rest=rest)
     return results
+
+
+def _assembled(fleet: Fleet, machine: Machine, arrival: Arrival, now: float) -> AssemblyStep:
+    """Assign an arrival to samples; an occasional reading that is older than `behind` is late.
+
+    It would join the next sample, whatever its time, as a displacement of then.
+    """
+    rule, state = machine.model.rule, machine.state.assembly
+    occasional = all(value is None for value in arrival.readings[: rule.wanted])
+    # Readings of a backlog are as old as its samples; NaN before the first of them.
+    if occasional and age_of(rule, fleet.behind, arrival.time, min(state.last, now)) > 0.0:
+        return AssemblyStep(state, [], "late")
+    return assemble(rule, state, arrival.time, arrival.readings, (now, now + fleet.ahead))
 
 
 def _process_sample(

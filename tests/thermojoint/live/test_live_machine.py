@@ -575,6 +575,21 @@ def started(model, store, path, log, k):
     return restored_fleet(service, {"m": model}, store, log, fresh_metrics(), at(k))
 
 
+@pytest.mark.parametrize(("age", "taken"), [(10.0, True), (90.0, False)])
+def test_a_probe_reading_joins_the_next_sample_unless_it_is_old(model, store, age, taken):
+    """A displacement of long ago, told when its sender is connected again, is not that of now."""
+    fleet = fleet_of(replace(model, rule=model.rule._replace(wanted=4)), store, START)
+    mill = fleet.machines["mill"]
+    for k in range(120):
+        arrivals = [Arrival("mill", START + k, [*readings(k)[:4], None], START + k)]
+        if k == 110:
+            arrivals.append(Arrival("mill", START + k - age, [*4 * [None], 20.0], START + k))
+        processing.process(fleet, arrivals, *at(k))
+        if k == 111:
+            assert math.isfinite(mill.state.latest.readings[4]) == taken
+    assert any(one.kind == "late" for one in fleet.log.take_pending()) != taken
+
+
 @pytest.mark.parametrize("digest", [None, "another"])
 def test_a_gap_over_a_restart_is_marked_under_another_model_too(model, store, path, fleet, digest):
     feed(fleet, store, 0, 10)
