@@ -23,7 +23,7 @@ from estimator.quality import Quality
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log_file import read_log
 from thermojoint.artefacts.tables.clock import Hands
-from thermojoint.live.arrivals import Arrival, Note
+from thermojoint.live.arrivals import ABSENT, Arrival, Note
 from thermojoint.live.loaded_models import load_model
 from thermojoint.live.opcua_values import status_of, variables_of
 from thermojoint.live.publication import Layout
@@ -350,6 +350,17 @@ def test_two_readings_may_be_one_variable_or_topic():
     assert nodes == {"ns=2;s=air": ("mill", (0, 2)), "ns=2;s=T": ("mill", (1,))}
     value = ua.DataValue(ua.Variant(2.0), SourceTimestamp=datetime(2026, 3, 2, tzinfo=UTC))
     assert opcua.item_of(*nodes["ns=2;s=air"], 3, value).readings == [2.0, None, 2.0]
+
+
+def test_a_displacement_that_opcua_does_not_read_is_not_asked_for_in_vain():
+    source = OpcuaSource(
+        kind="opcua", url="opc.tcp://127.0.0.1", node="ns=2;s={reading}", security="none"
+    )
+    fed = {"mill": SimpleNamespace(intake=SimpleNamespace(wanted=1))}
+    service = SimpleNamespace(folder=None)
+    assert opcua.opcua_reader(service, source, {"mill": ("T", ABSENT)}, fed).nodes
+    with pytest.raises(InputError, match=r"columns: 'probe' is a displacement.* mill\.Probe"):
+        opcua.opcua_reader(service, source, {"mill": ("T", "probe")}, fed)
 
 
 def test_of_two_values_of_a_variable_at_one_time_the_last_counts():

@@ -19,7 +19,7 @@ from asyncua import Client, ua
 from asyncua.common.node import Node
 
 from thermojoint.artefacts.errors import InputError
-from thermojoint.live.arrivals import Arrival, Note
+from thermojoint.live.arrivals import ABSENT, Arrival, Note
 from thermojoint.live.loaded_models import LoadedModel
 from thermojoint.live.opcua_session import LOST, TIMEOUT_S, Endpoint, client_of, endpoint_of
 from thermojoint.live.readers.session import background_session
@@ -283,11 +283,18 @@ def opcua_reader(
     Raises
     ------
     InputError
-        A node id is malformed, or the server's certificate or a secret cannot be used.
+        A node id is malformed, a reading is occasional, or the server's certificate or a secret
+        cannot be used.
     """
     nodes: dict[str, Place] = {}
     for machine, called in names.items():
-        for k, name in enumerate(called[: models[machine].intake.wanted]):
+        wanted = models[machine].intake.wanted
+        for name in set(called[wanted:]) - {ABSENT}:
+            raise InputError(
+                f"source.columns: {name!r} is a displacement, which is not read: a variable of "
+                f"OPC UA repeats it; leave it out, and let the control write it in {machine}.Probe"
+            )
+        for k, name in enumerate(called[:wanted]):
             node = source.node.replace("{machine}", machine).replace("{reading}", name)
             # Several readings may be one variable: a thermometer that is also another's reference.
             nodes[node] = (machine, (*nodes.get(node, (machine, ()))[1], k))
