@@ -25,7 +25,7 @@ from scipy.sparse.linalg import splu
 from fesim.solid.pardiso import Substitution, pardiso
 from fesim.solid.refinement import refined
 from thermojoint.artefacts.arrays import Array
-from thermojoint.artefacts.errors import ConvergenceError, InputError
+from thermojoint.artefacts.errors import ConvergenceError, InputError, UnreadableError
 
 SOLVERS = ("pardiso", "superlu")
 
@@ -66,12 +66,12 @@ def default_solver() -> str:
 
     Raises
     ------
-    InputError
+    UnreadableError
         `VARIABLE` is not a solver.
     """
     named = os.environ.get(VARIABLE)
     if named and named not in SOLVERS:
-        raise InputError(f"{VARIABLE}: {named!r} is unknown; use one of {', '.join(SOLVERS)}")
+        raise UnreadableError(f"{VARIABLE}: {named!r} is unknown; use one of {', '.join(SOLVERS)}")
     return named or _installed()
 
 
@@ -306,7 +306,7 @@ def _pardiso(
             return pardiso(upper, single)
         return _by_nodes(upper, single, places)
     except ImportError as error:
-        raise InputError(
+        raise UnreadableError(
             "linear solver: 'pardiso' is not installed; install the extra "
             "thermojoint[pardiso] or use 'superlu'"
         ) from error

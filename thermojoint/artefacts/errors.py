@@ -25,7 +25,10 @@ class InputErrors(InputError):
 
 
 class UnreadableError(InputError):
-    """A file cannot be read, or has changed; a later attempt may succeed."""
+    """A file cannot be read or has changed, or something is not installed here.
+
+    A later attempt, or one on another computer, may succeed.
+    """
 
 
 class ConvergenceError(ThermojointError, ArithmeticError):

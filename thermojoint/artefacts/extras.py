@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from importlib.util import find_spec
 
-from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.errors import UnreadableError
 
 
 def require(feature: str, extra: str, *packages: str) -> None:
@@ -12,9 +12,9 @@ def require(feature: str, extra: str, *packages: str) -> None:
 
     Raises
     ------
-    InputError
+    UnreadableError
         A package is not installed.
     """
     for name in packages:
         if find_spec(name) is None:
-            raise InputError(f"{feature}: needs {name}; pip install 'thermojoint[{extra}]'")
+            raise UnreadableError(f"{feature}: needs {name}; pip install 'thermojoint[{extra}]'")

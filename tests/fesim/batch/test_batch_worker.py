@@ -13,6 +13,7 @@ from fesim.case.history import read_history
 from fesim.case.identity import case_id, condensation_key, file_digest, shared_key
 from fesim.case.schema import case_from_data
 from fesim.simulate import simulate
+from fesim.solid.linear_solver import VARIABLE
 from meshes.exchange import read_structure
 from thermojoint.artefacts.errors import InputError, UnreadableError
 
@@ -105,6 +106,15 @@ def test_a_full_disk_breaks_a_case_off_and_does_not_end_the_worker(tmp_path, mon
     outcome = run(task_of(study.cases[0]))
     assert (outcome.status, outcome.response) == ("broken", None)
     assert "No space left on device" in outcome.reason
+
+
+def test_a_solver_that_this_computer_lacks_breaks_a_case_off(tmp_path, monkeypatch):
+    worker._condensed.cache_clear()
+    study = study_in(tmp_path, levels(1), 1.0)
+    monkeypatch.setenv(VARIABLE, "pardizo")
+    assert run(task_of(study.cases[0])).status == "broken"
+    monkeypatch.delenv(VARIABLE)
+    assert run(task_of(study.cases[0])).status == "done"
 
 
 def test_only_a_condensation_that_is_made_takes_time(tmp_path):
