@@ -73,8 +73,10 @@ def chosen_figures(summary: pd.DataFrame, asked: Sequence[str]) -> list[str]:
 def figures_of_rows(
     study: Study, rows: Sequence[Values], summary: pd.DataFrame, names: Sequence[str]
 ) -> Array:
-    """Return the figures of each row's case, shape (rows, figures); NaN where there is none."""
-    by_id = summary.set_index("id")[list(names)].astype(np.float64)
+    """Return the figures of each row's case, shape (rows, figures); NaN without a result."""
+    # A name may be that of a varied value, which a failed case has, too.
+    done = summary[summary["status"] == "done"]
+    by_id = done.set_index("id")[list(names)].astype(np.float64)
     ids = {_key(case.values): case.id for case in study.cases}
     return by_id.reindex([ids.get(_key(row)) for row in rows]).to_numpy()
 
