@@ -52,8 +52,8 @@ class Sigmas:
     #: 0.05 um that last for a run.
     temperature: float = 0.3
     displacement: float = 0.5e-6
-    #: Of few readings of a displacement each has a smaller one, as they last for a run, too, but not
-    #: below this, as each has the noise of a probe, m.
+    #: Of few readings of a displacement each has a smaller one, as errors last for a run, but not
+    #: below this noise of a probe, m.
     reading: float = 0.2e-6
     #: The same for the discrepancy, which is fitted to the rest sample by sample, K and m.
     discrepancy_temperature: float = 0.03
