@@ -50,7 +50,6 @@ from thermojoint.models.parameters import (
     FictitiousSource,
     LinearModel,
     Model,
-    RingModel,
     Span,
 )
 from thermojoint.models.sensors import HEAT_SENSORS, named_sensors, readings
@@ -278,16 +277,12 @@ def stabilised(model: Model, times: np.ndarray) -> Model:
     ConvergenceError
         The inverse is unstable even with `MOST_RAISED` times the A of the rule.
     """
-    rings = [
-        [RingModel(source.K, source.a, source.alpha, r, source.r0) for r in row]
-        for source, row in zip(model.sources, model.distances, strict=True)
-    ]
     interval, length = float(np.diff(times).min()), float(times[-1] - times[0])
     factor = 1.0
     while factor <= MOST_RAISED:
         printed = (source.regularisation for source in model.sources)
         raised = [replace(f, A=factor * f.A, B=factor * f.B) for f in printed]
-        if unstable_zeros(rings, raised, interval, length, "inverse of the sources") == 0:
+        if unstable_zeros(model.rings, raised, interval, length, "inverse of the sources") == 0:
             sources = zip(model.sources, raised, strict=True)
             return replace(
                 model, sources=tuple(replace(source, regularisation=f) for source, f in sources)

@@ -151,15 +151,11 @@ def assemble(
                 f"{sorted(axes)}; calibrate both for the same axes"
             )
     band = (dt_s, run_length_s, tolerance)
-    rings = [
-        [RingModel(source.K, source.a, source.alpha, r, source.r0) for r in row]
-        for source, row in zip(model.sources, model.distances, strict=True)
-    ]
     direct = [
         _direct_bank(table.direct[role], *band, f"direct model of {role}") for role in sensors
     ]
     sources = inverse_bank(
-        rings, [s.regularisation for s in model.sources], *band, "inverse of the sources"
+        model.rings, [s.regularisation for s in model.sources], *band, "inverse of the sources"
     )
     return Assembly(
         model=model,

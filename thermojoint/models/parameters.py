@@ -184,6 +184,14 @@ class Model(Described):
         }
 
     @property
+    def rings(self) -> list[list[RingModel]]:
+        """``rings[i][j]``: source i to sensor j (Eq. 16)."""
+        return [
+            [RingModel(source.K, source.a, source.alpha, r, source.r0) for r in row]
+            for source, row in zip(self.sources, self.distances, strict=True)
+        ]
+
+    @property
     def digest(self) -> str:
         """Digest of all parameters."""
         return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()
