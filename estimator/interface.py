@@ -162,6 +162,12 @@ class Estimator(Protocol):
         ...
 
 
+def facts_of(estimator: Estimator) -> dict[str, str]:
+    """Return what represents an estimator in short: its axes and its channels."""
+    channels = ", ".join(f"{channel.name} in {channel.unit}" for channel in estimator.channels)
+    return {"axes": ", ".join(estimator.axes), "channels": channels}
+
+
 def follow(
     estimator: Estimator, samples: Iterable[Sequence[float]], state: Array
 ) -> Iterator[tuple[Array, Estimate]]:

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from estimator.fchs import stream
-from estimator.interface import Channel, Estimate, Status
+from estimator.interface import Channel, Estimate, Status, facts_of
 from estimator.span import Settling, status_of
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.display import Described
@@ -45,10 +45,7 @@ class Fchs(Described):
     schema: str = FILE.schema
 
     def _facts(self) -> dict[str, str]:
-        return {
-            "axes": ", ".join(self.axes),
-            "channels": ", ".join(f"{channel.name} in {channel.unit}" for channel in self.channels),
-        }
+        return facts_of(self)
 
     @property
     def model(self) -> Model:

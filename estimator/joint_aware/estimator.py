@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from estimator.interface import READING_NOISE, Channel, Estimate
+from estimator.interface import READING_NOISE, Channel, Estimate, facts_of
 from estimator.joint_aware import initial_states, whole_runs
 from estimator.joint_aware.channels import estimate_details
 from estimator.joint_aware.compiled_sample import Results
@@ -45,10 +45,7 @@ class JointAware(Described):
     schema: str = SCHEMA
 
     def _facts(self) -> dict[str, str]:
-        return {
-            "axes": ", ".join(self.axes),
-            "channels": ", ".join(f"{channel.name} in {channel.unit}" for channel in self.channels),
-        }
+        return facts_of(self)
 
     @property
     def kind(self) -> Kind:

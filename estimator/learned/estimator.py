@@ -18,12 +18,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import compress
 
 import numpy as np
 
 from estimator import lines
 from estimator.intake import axis_name
-from estimator.interface import READING_NOISE, Channel, Estimate, Status
+from estimator.interface import READING_NOISE, Channel, Estimate, Status, facts_of
 from estimator.learned.state import DRIFT, WEIGHTS, ZERO, State, cut, flat, state_in, width_of
 from estimator.learned.unread import Unread, at_start, later
 from estimator.span import SLACK, with_slack
@@ -110,10 +111,7 @@ class Learned(Described):
     schema: str = FILE.schema
 
     def _facts(self) -> dict[str, str]:
-        return {
-            "axes": ", ".join(self.axes),
-            "channels": ", ".join(f"{channel.name} in {channel.unit}" for channel in self.channels),
-        }
+        return facts_of(self)
 
     @property
     def kind(self) -> str:
@@ -244,9 +242,8 @@ class Learned(Described):
         status |= self._status(now, estimate, time - begun)
         status |= self._status_unread(last, missing, unknown)
         after = last._replace(time=time, begun=begun, values=now, relaxations=low)
-        return flat(after), Estimate(
-            time, estimate, band + unknown, status, details, self._names(missing)
-        )
+        names = tuple(compress(self.model.columns, missing))
+        return flat(after), Estimate(time, estimate, band + unknown, status, details, names)
 
     def _corrected(self, state: State, row: Array, readings: Array, levers: Array) -> Status:
         """Correct the filters by readings (axes,), m, in place; return the status bits."""
@@ -294,11 +291,6 @@ class Learned(Described):
                     band[c] + unknown[c],
                 )
             ]
-        )
-
-    def _names(self, missing: Flags) -> tuple[str, ...]:
-        return tuple(
-            name for name, gone in zip(self.model.columns, missing.tolist(), strict=True) if gone
         )
 
     def _continued(self, last: State, time: float) -> State:
