@@ -88,8 +88,7 @@ def of_unreported_motion(data: Precomputed, after: ObserverState) -> Array:
     absences = after.absences
     if not absences.away.any() or (motion := data.unreported_motion) is None:
         return np.zeros(data.observer.model.band.steady.size)
-    model, count = data.observer.model, data.observer.system.decay.size
-    relaxed = after.linear[model.modes.rates.size : count]
-    present = after.linear[count : count + model.power.size] / model.power
+    observer, model = data.observer, data.observer.model
+    relaxed, present = after.linear[observer.relaxations], after.linear[observer.heat] / model.power
     level = np.abs(np.append(relaxed, present)).max() / model.calibrated.heat
     return unreported_motion.half_width(motion, absences, model.step, float(level))

@@ -203,9 +203,7 @@ def heat_unknown(observer: Observer, factor: Array, newly: Flags, accepted: Flag
     if not lost.any():
         return factor
     unknown = np.zeros((observer.rows.shape[1], power.size))
-    unknown[observer.system.decay.size :][: power.size] = np.diag(
-        np.where(lost, observer.model.calibrated.heat * power, 0.0)
-    )
+    unknown[observer.heat] = np.diag(np.where(lost, observer.model.calibrated.heat * power, 0.0))
     more = np.hstack([factor, unknown])
     return compressed(more, observer.augmented.scale, factor.shape[1])
 
@@ -222,8 +220,7 @@ def _unexplained(
     if prediction.slip_knowledge == UNKNOWN:
         # The state is still a guess: it may result from lasting errors of the readings alone.
         covariance = covariance + np.diag(observer.model.filter.lasting)
-    power = observer.model.power
-    heat = prediction.linear[observer.system.decay.size :][: power.size]
+    heat = prediction.linear[observer.heat]
     onset, most, slack = possible_heat(observer, moment.steps)
     bounds = (np.minimum(-heat, 0.0) - slack, np.maximum(most - heat, 0.0) + slack)
     return fault_isolation.without_heat(innovation, at, covariance, onset, bounds), covariance

@@ -63,11 +63,9 @@ def bands_around(estimator: JointAware, state: Array, due: float) -> tuple[Array
     observer, forgetting = estimator.observer, estimator.precomputed.forgetting
     probe = observer.thresholds.probe
     model, now = estimator.model, unpacked(state, estimator.parts)
-    sources, rates = model.power.size, model.discrepancy.rates
-    dynamic = observer.system.decay.size
-    heat = now.linear[dynamic:][:sources] / model.power
-    relaxed = now.linear[model.modes.rates.size : dynamic].reshape(sources, -1)
-    kept = np.exp(-rates * due)
+    heat = now.linear[observer.heat] / model.power
+    relaxed = now.linear[observer.relaxations].reshape(heat.size, -1)
+    kept = np.exp(-model.discrepancy.rates * due)
     relaxed = kept * relaxed + (1.0 - kept) * heat[:, None]
     since = float(now.time - now.begun) + due
     slips, means = float(now.slip_knowledge), now.watch.means

@@ -100,6 +100,17 @@ class Observer:
         return linear_system(model.modes, model.discrepancy, model.power, model.step)
 
     @cached_property
+    def relaxations(self) -> slice:
+        """Relaxations of the heat (s q,) in the linear state; the amplitudes are before them."""
+        return slice(self.model.modes.rates.size, self.system.decay.size)
+
+    @cached_property
+    def heat(self) -> slice:
+        """Heat of the sources (s,) in the linear state, W."""
+        first = self.system.decay.size
+        return slice(first, first + self.model.power.size)
+
+    @cached_property
     def augmented(self) -> SteadyFilter:
         """The steady filter of the linear state (n,) and the errors of the readings (p + 1,)."""
         return with_errors(self.model.filter)
@@ -142,20 +153,21 @@ class Observer:
     @cached_property
     def step_response(self) -> Array:
         """Readings 1, 2 ... steps after a step of 1 W at each source, K, shape (k, p + 1, s)."""
-        columns = np.zeros((self.system.size, self.model.power.size))
-        columns[self.system.decay.size :][: self.model.power.size] = np.eye(self.model.power.size)
-        readings = []
+        columns, readings = self._of_each_source, []
         for _ in range(ANSWER):
             columns = self.system.advance(columns)
             readings.append(self.system.rows @ columns)
         return np.array(readings)
 
+    @property
+    def _of_each_source(self) -> Array:
+        """Linear states (n, s) with 1 W at one source each."""
+        return np.eye(self.system.size)[:, self.heat]
+
     @cached_property
     def _step_innovations(self) -> Array:
         """Innovations while the filter finds heat of 1 W at each source, K, shape (k, p + 1, s)."""
-        unknown = np.zeros((self.system.size, self.model.power.size))
-        unknown[self.system.decay.size :][: self.model.power.size] = np.eye(self.model.power.size)
-        innovations = []
+        unknown, innovations = self._of_each_source, []
         for _ in range(ANSWER):
             unknown = self.system.advance(unknown)
             innovations.append(self.system.rows @ unknown)
@@ -241,20 +253,17 @@ class Observer:
             Of the axes in the step.
         """
         linear, drive = before
-        count, dynamic = self.model.modes.rates.size, self.system.decay.size
-        inputs = linear[dynamic:]
-        sources, rates = self.model.power.size, self.model.discrepancy.rates
-        decay = 1.0 / (1.0 + length * rates)
-        relaxed = linear[count:dynamic].reshape(sources, -1)
-        heat = inputs[:sources] / self.model.power
-        after = np.empty_like(linear)
+        power, relaxations = self.model.power, self.relaxations
+        count, inputs = relaxations.start, linear[relaxations.stop :]
+        decay = 1.0 / (1.0 + length * self.model.discrepancy.rates)
+        relaxed, heat = linear[relaxations].reshape(power.size, -1), linear[self.heat] / power
+        after = linear.copy()
         if way is None:
             after[:count] = conduct(self.physics, linear[:count], inputs, joint, length)
         else:
             driving = Driving(linear[:count], drive)
             after[:count], drive = conduct_driven(self.physics, driving, inputs, joint, length, way)
-        after[count:dynamic] = (decay * relaxed + (1.0 - decay) * heat[:, None]).ravel()
-        after[dynamic:] = inputs
+        after[relaxations] = (decay * relaxed + (1.0 - decay) * heat[:, None]).ravel()
         return after, drive
 
     def gain(
@@ -365,26 +374,22 @@ class Observer:
         known = uncertain.max() <= self.thresholds.followable**2
         return TRACKED if slip_knowledge == UNKNOWN and known else slip_knowledge
 
-    def equilibrium(self, prediction: Prediction, linear: Array, loads: Array) -> Equilibrium:
-        """The joint in equilibrium at the corrected linear state, and the displacement."""
-        count = self.model.modes.rates.size
-        joint, probes = self._settle(prediction.joint, linear, prediction.slip_knowledge, loads)
-        now = Driving(linear[:count], prediction.drive)
+    def equilibrium(
+        self, before: Prediction | ObserverState, linear: Array, loads: Array
+    ) -> Equilibrium:
+        """The joint in equilibrium at a linear state, and the displacement.
+
+        Drives, and the joint from which it settles, are those of `before`.
+        """
+        joint, probes = self._settle(before.joint, linear, float(before.slip_knowledge), loads)
+        relaxed = linear[self.relaxations]
+        now = Driving(linear[: self.relaxations.start], before.drive)
         moved = positioned(self.physics, now, joint, loads, probes)
-        relaxed = linear[count : self.system.decay.size]
         return Equilibrium(joint, relaxed, moved + self.model.discrepancy.displacement @ relaxed)
 
     def displacement_under(self, state: ObserverState, loads: Array) -> Array:
         """Return the displacement (axes,), m, under other loads (l,), the joint settled anew."""
-        present = Prediction(
-            state.linear,
-            state.joint,
-            state.drive,
-            state.covariance_factor,
-            state.errors,
-            float(state.slip_knowledge),
-        )
-        return self.equilibrium(present, state.linear, loads).displacement
+        return self.equilibrium(state, state.linear, loads).displacement
 
     def seen_from(self, state: ObserverState, slip_knowledge: float, places: Array) -> Array:
         """Return the displacement (n, axes), m, if the axes stood at places (n, x), m."""
@@ -392,10 +397,9 @@ class Observer:
         assert drives is not None  # asked for with axes only
         if slip_knowledge == UNKNOWN:
             joint = joint._replace(slip=self.physics.rest.slip)
-        count = self.model.modes.rates.size
         every = np.vstack([places, drives.with_zeros(self.place(state.loads))[1:]])
-        probes = seen_from(self.physics, joint, linear[:count], every)
-        relaxed = linear[count : self.system.decay.size]
+        probes = seen_from(self.physics, joint, linear[: self.relaxations.start], every)
+        relaxed = linear[self.relaxations]
         moved = drives.displacement(state.drive, every, probes)
         return np.asarray(moved + self.model.discrepancy.displacement @ relaxed)
 

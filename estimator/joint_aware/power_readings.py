@@ -48,5 +48,5 @@ def attribute_heat(
 
 def _places(observer: Observer) -> list[int]:
     """Indices (t,) of their sources' heat in the linear state."""
-    dynamic, model = observer.system.decay.size, observer.model
-    return [dynamic + model.sources.index(source) for source in model.power_shares]
+    first, model = observer.heat.start, observer.model
+    return [first + model.sources.index(source) for source in model.power_shares]

@@ -90,7 +90,7 @@ def _beyond(data: Precomputed, processed: Processed, time: float, readings: Arra
     calibrated, power = observer.model.calibrated, observer.model.power
     if time - float(after.begun) > (1.0 + SLACK) * calibrated.duration_s:
         status |= Status.BEYOND_TIME
-    heat = after.linear[observer.system.decay.size :][: power.size] / power
+    heat = after.linear[observer.heat] / power
     if heat.max() > (1.0 + SLACK) * calibrated.heat or heat.min() < -SLACK * calibrated.heat:
         status |= Status.BEYOND_HEAT
     if np.abs(heat).max() > observer.thresholds.implausible_heat * calibrated.heat:

@@ -243,6 +243,5 @@ def _absences(
 
 def results_of(observer: Observer, processed: Processed) -> Results:
     """Return the results of a sample that was processed alone."""
-    count, dynamic = observer.model.modes.rates.size, observer.system.decay.size
-    relaxed, means = processed.after.linear[count:dynamic], processed.after.watch.means
-    return Results(processed.displacement, relaxed, means)
+    after = processed.after
+    return Results(processed.displacement, after.linear[observer.relaxations], after.watch.means)

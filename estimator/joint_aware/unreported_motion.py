@@ -178,10 +178,10 @@ def _warm(observer: Observer, place: Place, marches: Sequence[Array]) -> tuple[A
     By the fastest travel of all axes, and by all sources at the largest calibrated heat. `marches`
     are the powers of a step.
     """
-    model, first = observer.model, observer.system.decay.size
+    model = observer.model
     travelled = _heat_of_travel(observer, place, range(len(place)))
     sources = np.zeros(travelled.size)
-    sources[first : first + model.power.size] = model.calibrated.heat * model.power
+    sources[observer.heat] = model.calibrated.heat * model.power
     for march in marches:
         travelled = march @ travelled + travelled
     return travelled, marches[-1] @ sources
