@@ -59,6 +59,11 @@ class Moment:
     #: any.
     travelled: Array = field(default_factory=lambda: np.zeros(0))
 
+    @property
+    def elapsed(self) -> float:
+        """Time since the previous sample, s."""
+        return self.length * self.steps
+
 
 class Prediction(NamedTuple):
     """Prediction for a sample; attributes as in `ObserverState`."""
@@ -217,7 +222,7 @@ class Observer:
             if k + 1 < steps:
                 joint, _ = self._settle(joint, linear, slip_knowledge, now)
                 factor = self._without_readings(factor, length)
-        errors = self.lasting_on(moment.length * steps) * before.errors * factor.any()
+        errors = self.lasting_on(moment.elapsed) * before.errors * factor.any()
         return Prediction(linear, joint, drive, factor, errors, slip_knowledge)
 
     def lasting_on(self, elapsed: float) -> float:

@@ -24,13 +24,15 @@ def estimate_of(
 ) -> Estimate:
     """Return the estimate after a sample with some values at a time (s)."""
     observer, after = data.observer, processed.after
-    parts = _error_parts(observer, processed)
-    usual, left = band.variances(observer, parts, after.model_error, processed.covariance_factor)
+    _, relaxed, means = results_of(observer, processed)
+    since = float(after.time - after.begun)
+    parts = observer.model_error(relaxed, processed.slip_knowledge, means, since)
+    usual, left = band.variances(observer, parts, after.model_error, after.covariance_factor)
     unread = band.of_unreported_motion(data, after)
     unread = unread + band.of_missing_loads(observer, after, read.factors)
     half = band.WIDTH * np.sqrt(usual + left) + band.of_pending_jump(observer, after) + unread
     # Estimated from displacement readings, and from innovations.
-    error = parts @ mean_of(after.model_error) + observer.displacement_by(after.watch.means)
+    error = parts @ mean_of(after.model_error) + observer.displacement_by(means)
     moved, line = processed.displacement + error, np.empty(0)
     if observer.model.moving_axes:
         unplaced = np.isnan(read.factors[-len(observer.model.moving_axes) :])
@@ -61,13 +63,6 @@ def estimate_of(
         missing=missing,
         distrusted=distrusted,
     )
-
-
-def _error_parts(observer: Observer, processed: Processed) -> Array:
-    """The model error per part (`Observer.model_error`)."""
-    results, after = results_of(observer, processed), processed.after
-    since = float(after.time - after.begun)
-    return observer.model_error(results.relaxed, processed.slip_knowledge, results.means, since)
 
 
 def _left_out(data: Precomputed, read: SampleValues, accepted: Flags) -> tuple[Names, Names]:

@@ -20,7 +20,7 @@ from estimator.joint_aware import (
     unreported_motion,
 )
 from estimator.joint_aware.compiled_sample import Results, empty_results
-from estimator.joint_aware.displacement_readings import ModelError, mean_of
+from estimator.joint_aware.displacement_readings import mean_of
 from estimator.joint_aware.innovation_gate import GatedSample, gate_readings
 from estimator.joint_aware.observer import Moment, Observer
 from estimator.joint_aware.observer_state import Absences, ObserverState, unpacked
@@ -43,8 +43,6 @@ class Processed(NamedTuple):
     displacement: Array
     #: Knowledge of the joint's slips before the sample.
     slip_knowledge: float
-    #: Shape (n, k): covariance factor in addition to the steady covariance, after the readings.
-    covariance_factor: Array
     #: Shape (p + 1,): readings that were used.
     accepted: Flags
     #: Whether a displacement reading was refused.
@@ -80,8 +78,7 @@ def process(
     # A missing factor keeps its last value.
     now = after.loads[: read.factors.size]
     now[:] = np.where(np.isnan(read.factors), now, read.factors)
-    elapsed = moment.length * moment.steps
-    travelled, reset = odometers.count(observer, after, read.odometers, stood, elapsed)
+    travelled, reset = odometers.count(observer, after, read.odometers, stood, moment.elapsed)
     processed = process_ordinary(data, after, moment, read)
     if processed is None:
         before = unpacked(state, layout)
@@ -136,8 +133,7 @@ def process_ordinary(
         return None
     state.steps[()] = 1.0
     slip_knowledge, everything = float(state.slip_knowledge), np.ones(readings.size, dtype=bool)
-    moved = results.displacement[0]
-    return Processed(state, moved, slip_knowledge, state.covariance_factor, everything, False, 1)
+    return Processed(state, results.displacement[0], slip_knowledge, everything, False, 1)
 
 
 def process_any(
@@ -145,12 +141,11 @@ def process_any(
 ) -> Processed:
     """Process any sample."""
     observer, readings, probed = data.observer, read.temperatures, read.displacements
-    loads = moment.loads
     prediction = observer.predict(before, moment)
     used = gate_readings(observer, before, prediction, moment, readings, data.readable)
     (linear, errors), factor = _corrected(observer, used, moment, readings)
     prediction = used.prediction
-    settled = observer.equilibrium(prediction, linear, loads)
+    settled = observer.equilibrium(prediction, linear, moment.loads)
     elapsed = moment.time - float(before.time) if moment.steps else 0.0
     begun = before.begun if moment.steps else np.array(moment.time)
     absences = _absences(data, before, moment, read, bool(used.accepted.all()))
@@ -162,17 +157,24 @@ def process_any(
         since = moment.time - float(begun)
         parts = observer.model_error(settled.relaxed, prediction.slip_knowledge, means, since)
         apart = probed - settled.displacement - observer.displacement_by(means)
-        correction = _corrected_by_probe(observer, apart, parts, factor, error)
+        correction = displacement_readings.correct_by(
+            apart - parts @ mean_of(error),
+            observer.thresholds.probe,
+            observer.model.band,
+            parts,
+            factor,
+            error,
+        )
         size, factor = linear.size, correction.covariance_factor
         linear, errors = linear + correction.state[:size], errors + correction.state[size:]
         error, refused = correction.known, correction.refused
-        settled = observer.equilibrium(prediction, linear, loads)
+        settled = observer.equilibrium(prediction, linear, moment.loads)
     after = ObserverState(
         time=np.array(moment.time),
         begun=begun,
         slip_knowledge=np.array(observer.slip_knowledge_after(prediction.slip_knowledge, factor)),
         linear=linear,
-        loads=loads,
+        loads=moment.loads,
         **settled.joint._asdict(),
         covariance_factor=factor,
         errors=errors,
@@ -189,9 +191,8 @@ def process_any(
         position_away=absences.away[positions],
         position_back=absences.back[positions],
     )
-    moved = settled.displacement
-    often = _often(before, moment)
-    return Processed(after, moved, prediction.slip_knowledge, factor, used.accepted, refused, often)
+    slips, often = prediction.slip_knowledge, _often(before, moment)
+    return Processed(after, settled.displacement, slips, used.accepted, refused, often)
 
 
 def _often(before: ObserverState, moment: Moment) -> int:
@@ -212,16 +213,6 @@ def _corrected(
     return (prediction.linear + moved[:size], prediction.errors + moved[size:]), factor
 
 
-def _corrected_by_probe(
-    observer: Observer, apart: Array, parts: Array, factor: Array, known: ModelError
-) -> displacement_readings.Correction:
-    """Correction by a displacement reading that is `apart` from the model, (axes,), m."""
-    innovation = apart - parts @ mean_of(known)
-    return displacement_readings.correct_by(
-        innovation, observer.thresholds.probe, observer.model.band, parts, factor, known
-    )
-
-
 def _absences(
     data: Precomputed, before: ObserverState, moment: Moment, read: SampleValues, whole: bool
 ) -> Absences:
@@ -230,7 +221,7 @@ def _absences(
     In a gap of more than two sampling intervals no position is read either.
     """
     last, positions = before.absences, len(before.position_away)
-    elapsed, often = moment.length * moment.steps, _often(before, moment)
+    elapsed, often = moment.elapsed, _often(before, moment)
     gap = moment.length * (moment.steps - often) if moment.steps > 2 * often else 0.0
     unplaced = np.isnan(read.factors[read.factors.size - positions :])
     unread = elapsed * (before.odometer_age > 0.0)

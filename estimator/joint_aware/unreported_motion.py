@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from itertools import permutations
+from itertools import islice, permutations
 
 import numpy as np
 
@@ -195,10 +195,7 @@ def _lengths(observer: Observer) -> Array:
 
 def _squares(matrix: Array, count: int) -> list[Array]:
     """The matrix, its square, the square of that, ... (`count` of them)."""
-    found = [matrix]
-    for _ in range(count - 1):
-        found.append(found[-1] @ found[-1])
-    return found[:count]
+    return [power for _, power in islice(powers(matrix), 1, 1 + count)]
 
 
 def _ends_and_middle(observer: Observer) -> list[Place]:

@@ -65,7 +65,7 @@ def _stretches(
         yield slice(k, k + 1), state, (processed, read)
         k += 1
         # Where a start or a gap still has an effect, no sample is usual.
-        unsettled = processed.covariance_factor.any()
+        unsettled = processed.after.covariance_factor.any()
         if data.place is None or readings is None or unsettled or k == len(samples):
             continue
         state, results = _run(data, data.place, state, samples[k:, 0], readings[k:])
