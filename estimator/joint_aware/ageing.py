@@ -39,7 +39,6 @@ from estimator.joint_aware.slow_parameters import (
 )
 from thermojoint.artefacts.arrays import Array, Flags
 from thermojoint.reduced.convection import Convection, convected, convection_of
-from thermojoint.reduced.machine import Joint
 from thermojoint.reduced.parameters import joint_with_factors
 
 #: Samples with any other status are not used for learning.
@@ -127,19 +126,8 @@ class AgeingJointAware:
     @cached_property
     def _parts(self) -> Layout:
         """Slices of the parts of the state."""
-        count, rows = len(self.ageing), len(self.observer.observer.system.rows)
-        return placed(
-            {
-                "time": (),
-                "begun": (),
-                "learnt": (count + rows,),
-                "covariance": (count + rows, count + rows),
-                "counted": (rows,),
-                "innovation": (rows,),
-                "sensitivity": (rows, count),
-                "runs": (count + 1, self.observer.initial_state().size),
-            }
-        )
+        parts = vars(self._fresh(self.observer.initial_state()))
+        return placed({name: np.shape(part) for name, part in parts.items()})
 
     @property
     def _slow(self) -> list[Slow]:
@@ -149,21 +137,25 @@ class AgeingJointAware:
 
     def initial_state(self) -> Array:
         """Return the state of a machine at rest with the calibrated parameters."""
-        return self._fresh(self.observer.initial_state())
+        return self._fresh(self.observer.initial_state()).flat()
 
     def warm_state(self) -> Array:
         """Return the state of a machine with an unknown past."""
-        return self._fresh(self.observer.warm_state())
+        return self._fresh(self.observer.warm_state()).flat()
 
-    def _fresh(self, start: Array) -> Array:
-        nothing = self._unpacked(np.zeros(self._parts.size))
-        return replace(
-            nothing,
+    def _fresh(self, start: Array) -> _State:
+        slow, count = self._slow, len(self.ageing)
+        rows = len(slow) - count
+        return _State(
             time=np.array(np.nan),
             begun=np.array(np.nan),
-            covariance=np.diag([slow.spread**2 for slow in self._slow]),
-            runs=np.tile(start, (len(self.ageing) + 1, 1)),
-        ).flat()
+            learnt=np.zeros(len(slow)),
+            covariance=np.diag([one.spread**2 for one in slow]),
+            counted=np.zeros(rows),
+            innovation=np.zeros(rows),
+            sensitivity=np.zeros((rows, count)),
+            runs=np.tile(start, (count + 1, 1)),
+        )
 
     def _unpacked(self, state: Array) -> _State:
         return _State(**self._parts.views(state))
@@ -354,5 +346,5 @@ def _with_joints(
         for name, value in zip(names, logarithms, strict=True)
         if name != "film"
     }
-    joints: tuple[Joint, ...] = tuple(joint_with_factors(joint, factors) for joint in model.joints)
+    joints = tuple(joint_with_factors(joint, factors) for joint in model.joints)
     return replace(model, joints=joints)

@@ -122,11 +122,6 @@ class Layout:
     #: Name, place and shape of each, in order.
     parts: tuple[tuple[str, slice, tuple[int, ...]], ...]
 
-    @property
-    def size(self) -> int:
-        """Number of values in the state."""
-        return self.parts[-1][1].stop
-
     def views(self, state: Array) -> dict[str, Array]:
         """Return the parts of a flat state by their names, as views."""
         return {
