@@ -127,20 +127,18 @@ def _ranges(model: ObserverModel) -> tuple[Range, ...]:
 
 def _residuals(estimator: JointAwareEstimator, state: Array, values: Array) -> Array:
     """Reading minus model for every sensor, used or excluded."""
-    if isinstance(estimator, AgeingJointAware):
-        raise InputError("residuals: not while the machine's parameters are learnt")
-    thermal = split_sample(estimator.precomputed, values.tolist()).temperatures
-    linear = unpacked(state, estimator.parts).linear
-    return np.asarray(thermal - estimator.observer.system.rows @ linear)
+    known = _not_learning(estimator, "residuals")
+    thermal = split_sample(known.precomputed, values.tolist()).temperatures
+    return np.asarray(thermal - known.observer.system.rows @ unpacked(state, known.parts).linear)
 
 
 def _next_reading(estimator: JointAwareEstimator, state: Array, limit: float) -> NextReading | None:
-    return next_reading(_not_learning(estimator), state, limit)
+    return next_reading(_not_learning(estimator, "next reading"), state, limit)
 
 
-def _not_learning(estimator: JointAwareEstimator) -> JointAware:
+def _not_learning(estimator: JointAwareEstimator, what: str) -> JointAware:
     if isinstance(estimator, AgeingJointAware):
-        raise InputError("next reading: not while the machine's parameters are learnt")
+        raise InputError(f"{what}: not while the machine's parameters are learnt")
     return estimator
 
 
@@ -194,7 +192,7 @@ KIND: Kind[ObserverModel, JointAwareEstimator] = Kind(
     judge_logs=_judge_logs,
     residuals=_residuals,
     next_reading=_next_reading,
-    narrowest_band=lambda estimator: narrowest_band(_not_learning(estimator)),
+    narrowest_band=lambda estimator: narrowest_band(_not_learning(estimator, "next reading")),
     program=_program,
     strokes=lambda model: model.strokes,
 )
