@@ -173,6 +173,10 @@ class ObserverModel(Described):
     surfaces: tuple[str, ...]
     calibrated: Calibrated
     factors: dict[str, tuple[float, float]] = field(default_factory=dict)
+    kind: Kind = "joint-aware"
+    moving_axes: tuple[MovingAxis, ...] = ()
+    power_shares: Mapping[str, float] = field(default_factory=dict)
+    places: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
     def _facts(self) -> dict[str, str]:
         return {
@@ -182,11 +186,6 @@ class ObserverModel(Described):
             "sources": ", ".join(self.sources),
             "calibrated": f"{self.calibrated.duration_s / 60.0:g} min",
         }
-
-    kind: Kind = "joint-aware"
-    moving_axes: tuple[MovingAxis, ...] = ()
-    power_shares: Mapping[str, float] = field(default_factory=dict)
-    places: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
     def cold_drives(self, since: float) -> Array:
         """Return the variance (axes,) due to drives assumed cold at a warm start, m2.
