@@ -31,7 +31,6 @@ from calibrate.joint_aware.misfit import (
     fit_linear,
     make_problem,
     reading_noise,
-    residuals,
     searched,
     trust_in,
     whitened,
@@ -94,8 +93,7 @@ NOWHERE = 1e-8
 class Start:
     """Result of the search from one start."""
 
-    #: Shape (k,): logarithms of the factors.
-    begun: Array
+    #: Shape (k,): coordinates.
     reached: Array
     #: Half the sum of squares there.
     cost: float
@@ -154,8 +152,12 @@ def slopes_at(
 
 def _errors(problem: Problem, parameters: tuple[Parameter, ...], scaled: Array) -> Array:
     """Temperatures and displacements side by side, (n, p + axes)."""
-    coordinates = scaled * [parameter.spread for parameter in parameters]
-    return np.hstack(errors(problem, parameters, coordinates))
+    return np.hstack(errors(problem, parameters, scaled * _spread_of(parameters)))
+
+
+def _spread_of(parameters: Sequence[Parameter]) -> Array:
+    """Prior standard deviations of the coordinates, (k,)."""
+    return np.array([parameter.spread for parameter in parameters])
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,7 +216,7 @@ class Fit:
     @property
     def spread(self) -> Array:
         """Prior standard deviations of the coordinates, (k,)."""
-        return np.array([parameter.spread for parameter in self.parameters])
+        return _spread_of(self.parameters)
 
     @property
     def directions(self) -> tuple[Array, Array]:
@@ -265,13 +267,12 @@ def fit_physics(
     if not parameters:
         return _fit(whole, parameters, _nowhere(), (), 1)
     problem = make_problem(machine, searched(machine, runs, search.steps))
-    spread = np.array([parameter.spread for parameter in parameters])
+    spread = _spread_of(parameters)
     now, rough = np.zeros(spread.size), replace(search, close=search.roughly)
     defect, tried = _defect(whole, problem, parameters, now), []
     slopes, evaluations = slopes_at(problem, parameters, now, search), 3 + now.size
     best: Found | None = None
     for drawn in _starts(parameters, search):
-        begun = drawn
         try:
             begun = best_lags(problem, parameters, spread * drawn, search.lags) / spread
             there = slopes.moved(begun, _errors(problem, parameters, begun))
@@ -280,7 +281,7 @@ def fit_physics(
             if not drawn.any():
                 raise
             continue
-        tried.append(Start(spread * begun, spread * result.at, result.cost))
+        tried.append(Start(spread * result.at, result.cost))
         evaluations += result.evaluations
         best = result if best is None or result.cost < best.cost else best
         slopes = best.slopes
@@ -358,19 +359,16 @@ def _settled(
     search: Search,
 ) -> tuple[Problem, Problem, Found, int]:
     """Search until defect and trust settle; both problems, the last search, and evaluations."""
-    spread, evaluations = np.array([parameter.spread for parameter in parameters]), 0
-    now, slopes = begun.at, begun
+    now, slopes, evaluations = begun.at, begun, 0
     for number in range(search.rounds):
-        left = fit_linear(whole, *errors(whole, parameters, spread * now)).temperature
-        trust = trust_in(whole, left)
+        linear = fit_linear(whole, *_apart(whole, _errors(whole, parameters, now)))
+        trust = trust_in(whole, linear.temperature)
         whole, problem = replace(whole, trust=trust), replace(problem, trust=trust)
         defect = _defect(whole, problem, parameters, now)
         if number > 0:
             # Now the parameters are about right.
-            slopes, evaluations = (
-                slopes_at(problem, parameters, now, search),
-                evaluations + now.size,
-            )
+            slopes = slopes_at(problem, parameters, now, search)
+            evaluations += now.size
         result = _search(problem, parameters, slopes, defect, search)
         evaluations += 3 + result.evaluations
         before, now = now, result.at
@@ -410,8 +408,8 @@ def _defect(
     whole: Problem, problem: Problem, parameters: tuple[Parameter, ...], scaled: Array
 ) -> Array:
     """Difference between the residuals at full and at coarse time resolution."""
-    coordinates = scaled * [parameter.spread for parameter in parameters]
-    return residuals(whole, parameters, coordinates) - residuals(problem, parameters, coordinates)
+    fine, coarse = (whitened(one, _errors(one, parameters, scaled)) for one in (whole, problem))
+    return fine - coarse
 
 
 def _search(
@@ -488,12 +486,11 @@ def _fit(
     starts: tuple[Start, ...],
     evaluations: int,
 ) -> Fit:
-    coordinates = np.array([parameter.spread for parameter in parameters]) * found.at
     left = _errors(problem, parameters, found.at)
     linear = fit_linear(problem, *_apart(problem, left))
     return Fit(
         parameters=parameters,
-        coordinates=coordinates,
+        coordinates=_spread_of(parameters) * found.at,
         errors=left,
         residuals=whitened(problem, left),
         jacobian=found.jacobian,
