@@ -115,7 +115,9 @@ def observer_from_rest(
     )
     steady = replace(design, scale=scale)
     others = [fit.discrepancy.displacement, np.zeros((len(machine.axes), walk.size))]
-    tangents = tangents_at(modes, fitted.laws, _places(modes))
+    # At every aligned position of an axis; of several axes at ends and middles of their strokes.
+    places = combinations([] if modes.way is None else modes.way.stations.positions)
+    tangents = tangents_at(modes, fitted.laws, places)
     everywhere = [np.hstack([own, *others]) for own in tangents]
     moved = everywhere[len(everywhere) // 2]
     nothing = np.zeros((len(machine.axes), fit.discrepancy.rates.size))
@@ -196,15 +198,6 @@ def seen_heat(machine: ReducedMachine, fit: Fit, calibrated: Calibrated, largest
         return 0.0
     told = np.sqrt(found.band.steady) <= TOLD * largest
     return heat if told.all() else 0.0
-
-
-def _places(modes: Modes) -> Array:
-    """Where the steady covariance counts, m, (k, x).
-
-    At every aligned position of an axis; of several axes at the combinations of the ends and the
-    middle of their strokes.
-    """
-    return combinations([] if modes.way is None else modes.way.stations.positions)
 
 
 def warm_columns(
