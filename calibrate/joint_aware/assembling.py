@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -23,28 +23,8 @@ from thermojoint.reduced.machine import Modes, ReducedMachine, diagonal_modes
 from thermojoint.reduced.parameters import factors_of, with_factors
 from thermojoint.reduced.unknown_heat import with_unknown_heat
 
-
-@dataclass(frozen=True)
-class Past:
-    """Range of past heating and cooling, and size of its covariance factor."""
-
-    #: Range and number of heating and cooling times, s, evenly spaced in their logarithm.
-    shortest: float = 60.0
-    longest: float = 6e4
-    times: int = 8
-    #: Change of the ambient, K.
-    ambient: float = 3.0
-    #: Columns of the covariance factor during a run.
-    columns: int = 12
-
-    @property
-    def lengths(self) -> Array:
-        """Heating and cooling times, s, shape (times,)."""
-        return np.geomspace(self.shortest, self.longest, self.times)
-
-
-#: The defaults.
-PAST = Past()
+#: Columns of the covariance factor of an unknown start.
+COLUMNS = 12
 #: Unknown heat of a face, relative to the mean of the sources, and the standard deviation of the
 #: displacement, relative to the largest, up to which thermometers determine it: on six structural
 #: plants 0.02 to 0.3 % with ten thermometers on all bodies, 2 to 4 % with four on one body.
@@ -143,7 +123,7 @@ def observer_from_rest(
             told=np.zeros((len(machine.axes), 0)),
             allowed=np.ones(()),
         ),
-        warm=np.zeros((scale.size, PAST.columns)),
+        warm=np.zeros((scale.size, COLUMNS)),
         surfaces=held.names,
         first=held.first,
         power=machine.power,
@@ -203,7 +183,7 @@ def seen_heat(machine: ReducedMachine, fit: Fit, calibrated: Calibrated, largest
 def warm_columns(
     modes: Modes, rates: Array, power: Array, steady: SteadyFilter, pasts: Pasts
 ) -> Array:
-    """Return the covariance factor L of an unknown start, shape (n, columns of `PAST`).
+    """Return the covariance factor L of an unknown start, shape (n, `COLUMNS`).
 
     Parameters
     ----------
@@ -219,4 +199,4 @@ def warm_columns(
         Possible pasts of the machine.
     """
     every = states_after(modes, rates, power, steady.walk, pasts)
-    return compressed(every / np.sqrt(every.shape[1]), steady.scale, PAST.columns)
+    return compressed(every / np.sqrt(every.shape[1]), steady.scale, COLUMNS)

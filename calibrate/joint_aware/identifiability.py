@@ -42,26 +42,11 @@ CANDIDATES = {
 }
 
 
-@dataclass(frozen=True)
-class Inquiry:
-    """Points of a profile, and the day to which uncertainty is propagated."""
-
-    #: Of a profile, in standard deviations from the fit.
-    points: tuple[float, ...] = (-2.0, -1.0, 0.0, 1.0, 2.0)
-    #: Iterations for the other parameters at each point.
-    improved: int = 2
-    #: A parameter whose uncertainty is still this fraction of the prior one is undetermined: the
-    #: data contain less information about it than the prior (1/sqrt(2) is equal information).
-    prediction_only: float = 0.7
-    #: Length of the day of random heat, s.
-    day: float = 8 * 3600.0
-    #: Its steps and the seed of its heat.
-    steps: int = 480
-    seed: int = 2
-
-
-#: The defaults.
-INQUIRY = Inquiry()
+#: Points of a profile, in standard deviations from the fit, and iterations for the other parameters
+#: at each.
+POINTS, ITERATIONS = (-2.0, -1.0, 0.0, 1.0, 2.0), 2
+#: Length of the day of random heat to which uncertainty is propagated, s, its steps, and the seed.
+DAY, STEPS, SEED = 8 * 3600.0, 480, 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,13 +79,13 @@ def profiles(machine: ReducedMachine, runs: Sequence[Run], fit: Fit) -> list[Pro
         others = np.arange(at_fit.size) != k
         improve = np.linalg.pinv(whole[:, others])
         values, costs = [], []
-        for point in INQUIRY.points:
+        for point in POINTS:
             scaled = at_fit.copy()
             scaled[k] = max(scaled[k] + point * deviation[k], parameter.least)
             # Follow the valley by the tangent, then by Newton's method with a frozen tangent.
             scaled[others] -= improve @ (whole[:, k] * (scaled[k] - at_fit[k]))
             now = at(scaled)
-            for _ in range(INQUIRY.improved):
+            for _ in range(ITERATIONS):
                 trial = scaled.copy()
                 trial[others] -= improve @ now
                 trial = np.maximum(trial, bounds)
@@ -129,9 +114,8 @@ class FurtherRun:
 def further_runs(machine: ReducedMachine, runs: Sequence[Run], fit: Fit) -> list[FurtherRun]:
     """Return the uncertainty of the parameters and of a day, without and with each further run."""
     heat = highest_heat(machine, runs)
-    step = INQUIRY.day / INQUIRY.steps
-    levels = random_levels(INQUIRY.seed, INQUIRY.day, step, heat, machine.power.size)
-    day = _planned(machine, fit, levels, INQUIRY.day)
+    levels = random_levels(SEED, DAY, DAY / STEPS, heat, machine.power.size)
+    day = _planned(machine, fit, levels, DAY)
     moved = _day_sensitivity(machine, runs, day, fit)
     further = []
     planned = (

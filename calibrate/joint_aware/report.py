@@ -10,11 +10,7 @@ from typing import Any
 import numpy as np
 
 from calibrate.joint_aware.calibration import JointAwareCalibration, report
-from calibrate.joint_aware.identifiability import (
-    INQUIRY,
-    further_runs,
-    profiles,
-)
+from calibrate.joint_aware.identifiability import further_runs, profiles
 from calibrate.joint_aware.physics_fit import Fit
 from thermojoint.artefacts.units import MEGA
 from thermojoint.reduced.parameters import NEW_CONDENSATION
@@ -22,6 +18,9 @@ from thermojoint.reduced.parameters import NEW_CONDENSATION
 #: Searches agree if their costs are within this of the best, in halves of a squared standard
 #: deviation.
 AGREE = 0.5
+#: A parameter whose uncertainty is still this fraction of the prior one is undetermined: the data
+#: contain less information about it than the prior (1/sqrt(2) is equal information).
+PREDICTION_ONLY = 0.7
 
 
 def short_report(calibrated: JointAwareCalibration) -> dict[str, Any]:
@@ -77,7 +76,7 @@ def whole_report(calibrated: JointAwareCalibration) -> dict[str, Any]:
         "prediction_only": [
             name
             for name, share in zip(names, after / fit.spread, strict=True)
-            if share > INQUIRY.prediction_only
+            if share > PREDICTION_ONLY
         ],
         "starts": _starts(fit),
         "profiles": [

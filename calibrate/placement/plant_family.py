@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.linalg import qr
 
-from calibrate.joint_aware.assembling import PAST
+from calibrate.joint_aware.assembling import COLUMNS
 from calibrate.joint_aware.misfit import Run, assumed, errors, fit_linear, make_problem
 from calibrate.joint_aware.past import Pasts, answer, states_after
 from calibrate.joint_aware.physics_fit import SEARCH, fit_physics
@@ -66,6 +66,8 @@ class Drawing:
 USUAL = Drawing()
 #: A sensor is near a source if it responds at least this fraction of the most responsive candidate.
 NEARBY = 0.1
+#: Times of heating and cooling, s, and change of the ambient, K, whose fields get modes.
+TIMES, AMBIENT = np.geomspace(60.0, 6e4, 8), 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +93,7 @@ def with_start(family: Family, machine: ReducedMachine, pasts: Pasts) -> Family:
     modes = diagonal_modes(machine, machine.at_preload)
     walk = np.ones(machine.power.size + 1)
     states = states_after(modes, np.zeros(0), machine.power, walk, pasts)
-    start = compressed(states / np.sqrt(states.shape[1]), np.ones(len(states)), PAST.columns)
+    start = compressed(states / np.sqrt(states.shape[1]), np.ones(len(states)), COLUMNS)
     return replace(family, start=start)
 
 
@@ -265,7 +267,7 @@ def fewer_modes(machine: ReducedMachine, drawing: Drawing = USUAL) -> ReducedMac
     """Return a machine with the few modes that its inputs excite at the times of a run.
 
     They span the fields that every source at its power, the ambient, flows across the joint and
-    drives cause after the times of `PAST`: (M / time + K + H) T = input. On axes every pad and
+    drives cause after `TIMES`: (M / time + K + H) T = input. On axes every pad and
     every station has a flow of its own, as their friction heats them. The machine's 300 modes
     resolve seconds everywhere; here minutes are enough, and all surfaces share one film.
 
@@ -299,7 +301,7 @@ def _entering(machine: ReducedMachine, jump: Array) -> Array:
     """Inputs (r, n) of the modes, W: sources, ambient, flows across the jumps (m, r)."""
     flow = Noise().joint_flow
     return np.column_stack(
-        [machine.sources * machine.power, PAST.ambient * machine.ambient, flow * jump.T]
+        [machine.sources * machine.power, AMBIENT * machine.ambient, flow * jump.T]
     )
 
 
@@ -307,8 +309,7 @@ def _spanned(machine: ReducedMachine, inputs: Array, drawing: Drawing) -> Reduce
     """The machine on the modes that inputs (r, n) excite."""
     linear = conducting(machine, machine.at_preload)
     fields = [
-        np.linalg.solve(machine.capacity / time + linear, inputs)
-        for time in (drawing.step, *PAST.lengths)
+        np.linalg.solve(machine.capacity / time + linear, inputs) for time in (drawing.step, *TIMES)
     ]
     # Fields are compared by their heat content: in coordinates in which M is the identity.
     root = np.linalg.cholesky(machine.capacity).T
