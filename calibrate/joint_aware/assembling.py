@@ -10,6 +10,7 @@ from calibrate.joint_aware.past import Pasts, answer, random_pasts, states_after
 from calibrate.joint_aware.physics_fit import Fit
 from calibrate.joint_aware.sticking import combinations, tangents_at
 from estimator.joint_aware.filter_design import (
+    NOISE,
     Noise,
     SteadyFilter,
     compressed,
@@ -34,7 +35,7 @@ LASTS = 10.0
 
 
 def make_observer(
-    machine: ReducedMachine, fit: Fit, calibrated: Calibrated, noise: Noise | None = None
+    machine: ReducedMachine, fit: Fit, calibrated: Calibrated, noise: Noise = NOISE
 ) -> ObserverModel:
     """Return the observer of a fitted machine; see `observer_from_rest`."""
     model = observer_from_rest(machine, fit, calibrated, noise)
@@ -44,7 +45,7 @@ def make_observer(
 
 
 def observer_from_rest(
-    machine: ReducedMachine, fit: Fit, calibrated: Calibrated, noise: Noise | None = None
+    machine: ReducedMachine, fit: Fit, calibrated: Calibrated, noise: Noise = NOISE
 ) -> ObserverModel:
     """Return the observer of a fitted machine without the covariance of a warm start.
 
@@ -58,7 +59,7 @@ def observer_from_rest(
         Its parameters, discrepancy and sensors.
     calibrated : Calibrated
         Range of the calibration.
-    noise : Noise, optional
+    noise : Noise
         Assumed noise.
 
     Raises
@@ -66,7 +67,6 @@ def observer_from_rest(
     ConvergenceError
         The sensors do not determine the heat.
     """
-    noise = noise or Noise()
     # A calibration without noise gives no evidence about that of later readings.
     own = np.maximum(noise.sensor, fit.noise)
     # ... and model errors that last for minutes count as noise that is larger by this factor.

@@ -18,7 +18,7 @@ from calibrate.joint_aware.open_band import Drawing, open_band, variance_of_heat
 from calibrate.joint_aware.physics_fit import SEARCH, Fit, Search, fit_physics
 from calibrate.joint_aware.readings import heat_in, run_in, ways_of
 from calibrate.joint_aware.recorded_days import is_day, shown_in, with_days
-from estimator.joint_aware.filter_design import Noise
+from estimator.joint_aware.filter_design import NOISE, Noise
 from estimator.joint_aware.observer_model import Calibrated, ObserverModel
 from estimator.joint_aware.readings import recorded, temperatures_in
 from fesim.axes.axis import Axis, place_of
@@ -347,7 +347,7 @@ def _noises(
 ) -> list[Noise]:
     """The usual noise, and one with unknown heat if thermometers determine it."""
     heat = seen_heat(machine, fit, known, largest_displacement(runs))
-    return [Noise(), Noise(unknown_heat=heat)] if heat else [Noise()]
+    return [NOISE, Noise(unknown_heat=heat)] if heat else [NOISE]
 
 
 def _observer(

@@ -45,7 +45,7 @@ def widened(
     runs: Sequence[Run],
     fit: Fit,
     model: ObserverModel,
-    noise: Noise | None,
+    noise: Noise,
     drawing: Drawing,
 ) -> tuple[Band, list[int]]:
     """Return the band of a model, wide enough to hold on every run that is left out.
@@ -63,7 +63,7 @@ def widened(
         Of all runs, with the samples that `fewer` keeps.
     model : ObserverModel
         With the band of that fit's posterior (`open_band`).
-    noise : Noise, optional
+    noise : Noise
         As for `observer_from_rest`.
     drawing : Drawing
         Number of machines drawn.
@@ -102,7 +102,7 @@ class _Others(NamedTuple):
 
     runs: Sequence[Run]
     fit: Fit
-    noise: Noise | None
+    noise: Noise
 
 
 class _Unseen(NamedTuple):

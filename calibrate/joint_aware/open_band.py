@@ -35,7 +35,7 @@ from calibrate.joint_aware.random_heat import random_course, random_levels
 from estimator import sensor_faults
 from estimator.joint_aware.band import WIDTH
 from estimator.joint_aware.estimator import JointAware
-from estimator.joint_aware.filter_design import Noise
+from estimator.joint_aware.filter_design import NOISE, Noise
 from estimator.joint_aware.observer import Observer
 from estimator.joint_aware.observer_model import Band, Calibrated, ObserverModel
 from estimator.joint_aware.observer_state import KNOWN
@@ -109,7 +109,7 @@ def open_band(
     runs: Sequence[Run],
     fit: Fit,
     model: ObserverModel,
-    noise: Noise | None = None,
+    noise: Noise = NOISE,
     drawing: Drawing = USUAL,
 ) -> Band:
     """Return the band of an observer, including the uncertainty of its calibration.
@@ -124,7 +124,7 @@ def open_band(
         Parameters, discrepancy, and their uncertainty.
     model : ObserverModel
         The observer of this fit.
-    noise : Noise, optional
+    noise : Noise
         As for `observer_from_rest`.
     drawing : Drawing
         Number of machines, and their histories.
@@ -179,7 +179,7 @@ def on_longer_steps(
     runs: Sequence[Run],
     calibrated: Calibrated,
     fit: Fit,
-    noise: Noise | None,
+    noise: Noise,
     drawing: Drawing,
 ) -> Fitted:
     """Return a fit to `runs`, its machine and its observer on the steps of `drawing`.

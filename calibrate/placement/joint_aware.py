@@ -30,7 +30,7 @@ import numpy as np
 from calibrate.joint_aware.sticking import tangents_at
 from calibrate.placement.plant_family import Family, loudest, make_family
 from estimator.joint_aware.band import WIDTH
-from estimator.joint_aware.filter_design import Noise, linear_system, mean_entry
+from estimator.joint_aware.filter_design import NOISE, Noise, linear_system, mean_entry
 from estimator.joint_aware.thresholds import USUAL
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError, InputError, unknown_name
@@ -170,7 +170,7 @@ class _Problem:
 
 
 def _problem(machine: ReducedMachine, family: Family) -> _Problem:
-    noise, held, step = Noise(), machine.at_preload, family.step
+    noise, held, step = NOISE, machine.at_preload, family.step
     modes = diagonal_modes(machine, held)
     nothing = Discrepancy(
         np.zeros(0), np.zeros((len(modes.sensors), 0)), np.zeros((len(machine.axes), 0))

@@ -20,7 +20,7 @@ from calibrate.joint_aware.past import Pasts, answer, states_after
 from calibrate.joint_aware.physics_fit import SEARCH, fit_physics
 from calibrate.joint_aware.random_heat import random_course, random_levels
 from calibrate.joint_aware.sticking import combinations
-from estimator.joint_aware.filter_design import Noise, compressed
+from estimator.joint_aware.filter_design import NOISE, compressed
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError, InputError
 from thermojoint.reduced.discrepancy import relaxation_rates, relaxed
@@ -299,7 +299,7 @@ def filter_modes(machine: ReducedMachine) -> ReducedMachine:
 
 def _entering(machine: ReducedMachine, jump: Array) -> Array:
     """Inputs (r, n) of the modes, W: sources, ambient, flows across the jumps (m, r)."""
-    flow = Noise().joint_flow
+    flow = NOISE.joint_flow
     return np.column_stack(
         [machine.sources * machine.power, AMBIENT * machine.ambient, flow * jump.T]
     )

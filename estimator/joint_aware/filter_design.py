@@ -48,6 +48,10 @@ class Noise:
     unknown_lasts: float = 4.0 * 3600.0
 
 
+#: The defaults.
+NOISE = Noise()
+
+
 @dataclass(frozen=True, eq=False)
 class LinearSystem:
     """x' = F x with F = [[diag(decay), drive], [0, 1]], and the rows H of the readings."""

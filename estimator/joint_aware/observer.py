@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimator.joint_aware.filter_design import (
+    NOISE,
     LinearSystem,
-    Noise,
     SteadyFilter,
     compressed,
     correct,
@@ -132,7 +132,7 @@ class Observer:
         A reading that the model reproduces poorly keeps about the same error for hours: its changes
         are more informative than its value.
         """
-        ill = np.maximum(self.model.filter.lasting - np.square(Noise().lasting), 0.0)
+        ill = np.maximum(self.model.filter.lasting - np.square(NOISE.lasting), 0.0)
         errors = self.thresholds.start_error * np.sqrt(ill)
         size, columns = self.model.warm.shape
         start = np.zeros((size + errors.size, columns + errors.size))

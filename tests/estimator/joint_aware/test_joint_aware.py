@@ -37,7 +37,7 @@ from calibrate.joint_aware.readings import run_in
 from calibrate.joint_aware.report import whole_report
 from estimator.interface import Status
 from estimator.joint_aware.estimator import JointAware
-from estimator.joint_aware.filter_design import correct
+from estimator.joint_aware.filter_design import NOISE, correct
 from estimator.joint_aware.kind import KIND
 from estimator.joint_aware.log import log_samples
 from estimator.joint_aware.model_file import (
@@ -551,7 +551,7 @@ def test_a_machine_unlike_its_case_is_known_less_the_longer_it_is_warm(small, pl
     """No run lasts for as long as that; a machine of the family needs no such allowance."""
     like, unlike = (
         unlike_its_case(
-            on_longer_steps(small, plant, known, replace(fit, doubt=doubt), None, Drawing())
+            on_longer_steps(small, plant, known, replace(fit, doubt=doubt), NOISE, Drawing())
         )
         for doubt in (1.0, 2.0)
     )
@@ -573,7 +573,7 @@ def test_a_band_is_not_checked_on_slow_errors_of_which_the_other_runs_cannot_tel
     known = Calibrated(2400.0, 1.0, dict.fromkeys(SENSORS, (0.0, 50.0)))
     model, drawing = make_observer(small, fit, known), Drawing(draws=2, duration=900.0)
     unchecked = [
-        widened(small, [long, short], replace(fit, doubt=doubt), model, None, drawing)[1]
+        widened(small, [long, short], replace(fit, doubt=doubt), model, NOISE, drawing)[1]
         for doubt in (1.0, 1.5)
     ]
     assert unchecked == [[], [0]]
@@ -620,7 +620,7 @@ def test_one_step_more_of_the_runs_does_not_change_the_band(machine):
             runs.append(Run(inputs, times, sensed, unlike * moved, small.step))
         fit = fit_physics(small, runs, ["heat"], Search(starts=0))
         model = make_observer(small, fit, Calibrated(600.0, 3.0, known))
-        return widened(small, runs, fit, model, None, drawing)[0].square.sum(axis=1)
+        return widened(small, runs, fit, model, NOISE, drawing)[0].square.sum(axis=1)
 
     assert added(61) == pytest.approx(added(60), rel=0.05)
 
@@ -641,12 +641,12 @@ def test_a_run_that_the_others_do_not_predict_widens_the_band(machine, small, pl
 
     def square_of(runs):
         fitted = fit_physics(small, [fewer(run) for run in runs], list(TRUE), Search(starts=0))
-        return widened(small, runs, fitted, model, None, drawing)[0].square
+        return widened(small, runs, fitted, model, NOISE, drawing)[0].square
 
     own, other = square_of(whole), square_of([weak, bent])
     assert np.all(other >= 0.0)
     assert other[1].sum() > 100.0 * own[1].sum()
-    assert widened(small, [strong], fit, model, None, drawing) == (model.band, [])
+    assert widened(small, [strong], fit, model, NOISE, drawing) == (model.band, [])
 
 
 def test_a_state_file_goes_on_bit_for_bit_and_knows_its_model(estimator, response, tmp_path):
