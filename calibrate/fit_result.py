@@ -23,8 +23,6 @@ class Fit:
     #: Name to standard error, same units; infinite where the data do not determine it. Given
     #: parameters have none.
     standard_errors: dict[str, float]
-    #: Between the estimates, in the order of `standard_errors`, without given parameters.
-    correlation: np.ndarray
     #: Of the Jacobian with its columns scaled to unit length.
     condition_number: float
     #: Of the residual, in `unit`.

@@ -294,7 +294,6 @@ def _assess(problem: Separable, end: _End, *, free: bool = True) -> Fit:
     return Fit(
         values={name: float(value) for name, value in values.items()},
         standard_errors=dict(zip(names, map(float, errors), strict=True)),
-        correlation=correlation,
         condition_number=condition,
         max_abs_error=float(np.abs(residual).max()),
         rms_error=float(np.sqrt((residual**2).mean())),

@@ -75,8 +75,6 @@ class Averaging:
     """Outcome of Figure 4's loop: the sources, and how it ended."""
 
     result: SourceFit
-    #: Of the last round: largest |ln(rate / mean)| of the rates preferred by each input.
-    spread: float
     reason: str
 
 
@@ -225,8 +223,7 @@ def fit_by_averaging(
         rates = np.array([[end.values[name] for name in names] for end in ends])
         averages = np.exp(np.log(rates).mean(axis=0))
         before, guesses = guesses, [averages.tolist()]
-        spread = float(np.abs(np.log(rates / averages)).max())
-        if spread < TOLERANCE:
+        if float(np.abs(np.log(rates / averages)).max()) < TOLERANCE:
             reason = f"the inputs agree after {index + 1} rounds"
             break
         if before and float(np.abs(np.log(averages / before[0])).max()) < TOLERANCE:
@@ -234,7 +231,7 @@ def fit_by_averaging(
             break
     best = fit_linear(_problem(t, deviations, inputs, geometry), guesses[0])
     result = _source_fit(best, geometry.distances.shape[0], len(inputs))
-    return Averaging(result, spread, reason)
+    return Averaging(result, reason)
 
 
 def largest_ratio(joint: SourceFit, averaged: SourceFit) -> float:

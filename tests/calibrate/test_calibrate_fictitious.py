@@ -125,7 +125,6 @@ def test_the_averaging_loop_and_the_joint_fit_agree_on_data_of_the_model(tables)
     averaged = fit_by_averaging(data.t, data.temperatures, data.inputs, make_geometry(DISTANCES))
     assert "the inputs agree after" in averaged.reason
     assert largest_ratio(tables.joint, averaged.result) < 1.0 + 1e-5
-    assert averaged.spread < 1e-3
 
 
 def test_with_noise_both_find_the_rates_within_their_standard_errors():

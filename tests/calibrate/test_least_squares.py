@@ -74,16 +74,6 @@ def test_every_evaluation_of_the_basis_is_counted_once():
     assert found.evaluations == len(calls) - 1  # the last one is for the report
 
 
-def test_correlations_are_those_of_the_parameters_that_have_standard_errors():
-    data = truth([[2.0], [1.0]]) + 0.01 * np.sin(7.0 * T)[:, None]
-    for found in (fit(problem(data), starts=4), fit_linear(problem(data), RATES.tolist())):
-        count = len(found.standard_errors)
-        assert found.correlation.shape == (count, count)
-        names = list(found.standard_errors)
-        for one, other, value in found.indistinct:
-            assert found.correlation[names.index(one), names.index(other)] == value
-
-
 @pytest.mark.parametrize("ridge", [0.0, 1e-6, 1e-2])
 def test_the_jacobian_is_exact_far_from_the_solution(ridge):
     data = np.column_stack([np.sin(0.05 * T), np.cos(0.11 * T)])
