@@ -11,7 +11,7 @@ import numpy as np
 from estimator.interface import Estimator, follow
 from estimator.lines import here
 from estimator.noise import with_noise
-from estimator.rows import Row, figures_of
+from estimator.rows import Row, figures_of, rms
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log
@@ -175,15 +175,11 @@ def _errors(where: str, actual: Array, estimate: Array, band: Array) -> dict[str
         raise InputError(f"{where} has no value; record it, or leave the column out")
     actual = actual[there]
     error = estimate[there] - actual
-
-    def rms(values: Array) -> float:
-        return float(MEGA * np.sqrt(np.mean(values**2)))
-
     return {
-        "rms_error_um": rms(error),
+        "rms_error_um": float(MEGA * rms(error)),
         "max_abs_error_um": float(MEGA * np.abs(error).max()),
-        "rms_uncompensated_um": rms(actual),
-        "rms_error_zeroed_um": rms(error - error[0]),
-        "rms_uncompensated_zeroed_um": rms(actual - actual[0]),
+        "rms_uncompensated_um": float(MEGA * rms(actual)),
+        "rms_error_zeroed_um": float(MEGA * rms(error - error[0])),
+        "rms_uncompensated_zeroed_um": float(MEGA * rms(actual - actual[0])),
         "band_cover": float(np.mean(np.abs(error) <= band[there])),
     }

@@ -33,13 +33,18 @@ def figures_of(error: Array, band: Array | None = None) -> dict[str, Array]:
     """
     figures = {
         "max_abs_error_um": np.abs(error).max(axis=0) * MEGA,
-        "rms_error_um": np.sqrt(np.mean(np.square(error), axis=0)) * MEGA,
+        "rms_error_um": rms(error) * MEGA,
     }
     if band is not None:
         figures["band_cover"] = np.mean(np.abs(error) <= band, axis=0)
         figures["mean_band_um"] = band.mean(axis=0) * MEGA
         figures["interval_score_um"] = interval_score(error, band) * MEGA
     return figures
+
+
+def rms(errors: Array) -> Array:
+    """Return the root of the mean square of errors (k, ...) over the samples."""
+    return np.asarray(np.sqrt(np.mean(np.square(errors), axis=0)))
 
 
 def interval_score(error: Array, band: Array) -> Array:

@@ -29,6 +29,7 @@ from calibrate.learning.structures import (
     with_slope,
 )
 from calibrate.learning.thinning import Table, in_one_order, thinned
+from estimator.rows import rms
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.log import Log
@@ -367,10 +368,8 @@ class _Judged(NamedTuple):
 
 
 def _judged(errors: Sequence[Array], widening: Array, deviations: Array) -> _Judged:
-    blocks = np.array([np.sqrt((error**2).mean(axis=0)) for error in errors])
-    whole = np.concatenate(errors)
-    rms = np.sqrt((whole**2).mean(axis=0))
-    return _Judged(rms, blocks.max(axis=0), widening, whole, deviations)
+    blocks, whole = np.array([rms(error) for error in errors]), np.concatenate(errors)
+    return _Judged(rms(whole), blocks.max(axis=0), widening, whole, deviations)
 
 
 def _folds(rows: _Rows, rules: Judging) -> Iterator[tuple[slice, NDArray[np.bool_]]]:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibrate.learning.rules import Cleaning
+from estimator.rows import rms
 from thermojoint.artefacts.arrays import Array
 
 
@@ -77,7 +78,7 @@ def cost_of_unseen(
         near = np.convolve(own, np.ones(2 * margin + 1), "same") > 0.5
         if near.all():
             return None
-        costs.append([_rms(without(own, ~near)), _rms(errors[usually(own)])])
+        costs.append([rms(without(own, ~near)), rms(errors[usually(own)])])
     return Cost(*np.max(costs, axis=0)) if costs else None
 
 
@@ -101,7 +102,3 @@ def usual(
     for held, away in folds:
         known[held] = own[away].mean() > seldom
     return own & known if (own & known).any() else ~own
-
-
-def _rms(errors: Array) -> Array:
-    return np.asarray(np.sqrt((errors**2).mean(axis=0)))

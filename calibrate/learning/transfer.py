@@ -27,6 +27,7 @@ from calibrate.learning.structures import known_rows, within_runs
 from calibrate.learning.thinning import thinned
 from estimator.interface import READING_NOISE
 from estimator.learned.estimator import Following
+from estimator.rows import rms
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError, unknown_name
 from thermojoint.artefacts.log import Log
@@ -127,15 +128,17 @@ def learn_like(
             )
         )
     kinds = list(errors[0])
-    rms = {kind: np.array([_rms(np.concatenate(one[kind])) for one in errors]) for kind in kinds}
-    worst = {kind: np.array([max(map(_rms, one[kind])) for one in errors]) for kind in kinds}
+    whole = {
+        kind: MEGA * np.array([rms(np.concatenate(one[kind])) for one in errors]) for kind in kinds
+    }
+    worst = {kind: MEGA * np.array([max(map(rms, one[kind])) for one in errors]) for kind in kinds}
     return LearnedModel(
         LEARNED,
         first.features,
         tuple(channels),
         {name: _union(first.spans[name], cleaned.at(name)) for name in first.columns},
         max(first.duration_s, longest_run(cleaned.table, cleaned.table.times)),
-        learned_from(cleaned, rms, worst, (*misreadings, *_no_better(wanted, rms))),
+        learned_from(cleaned, whole, worst, (*misreadings, *_no_better(wanted, whole))),
         log_end=end_of(cleaned, first.features),
     )
 
@@ -302,11 +305,6 @@ def _readings(
     )
     kept = np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))
     return found.at(kept), wrong
-
-
-def _rms(errors: Array) -> float:
-    """Root of the mean square of errors, m, in um."""
-    return float(MEGA * np.sqrt(np.mean(errors**2)))
 
 
 def _judged(readings: Readings, prior: Prior, rules: Rules) -> tuple[dict[str, list[Array]], Array]:
