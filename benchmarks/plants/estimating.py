@@ -10,9 +10,10 @@ import xarray as xr
 
 from calibrate.baselines import fit_baselines
 from calibrate.chain import calibrate_responses
-from calibrate.joint_aware.calibration import Effort, calibrate_machine, report
+from calibrate.joint_aware.calibration import Effort, calibrate_machine
 from calibrate.joint_aware.linear_joint import calibrate_linear_joint
 from calibrate.joint_aware.physics_fit import Search
+from calibrate.joint_aware.report import report
 from estimator.baselines.kind import regressions
 from estimator.fchs.judging import validate
 from estimator.interface import follow

@@ -32,7 +32,7 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.display import Described
 from thermojoint.artefacts.errors import ConvergenceError, InputError
 from thermojoint.artefacts.response import axes_that_move, displaced, probes_of
-from thermojoint.artefacts.units import MEGA, MILLI
+from thermojoint.artefacts.units import MILLI
 from thermojoint.reduced.axis_drive import displacement_probes, drives_on
 from thermojoint.reduced.loosened import Loosening, loosening_of
 from thermojoint.reduced.machine import (
@@ -45,8 +45,6 @@ from thermojoint.reduced.machine import (
 
 #: The fastest minute of an axis, s.
 MINUTE = 60.0
-#: A singular value above this is determined by the data: the prior contributes less than a tenth.
-DECIDED = 3.0
 #: A machine is loosened, as one on feet, if that reduces the doubt to this share or less.
 CLEARLY = 0.95
 #: Least doubt of such a machine: at 1 the band would not allow for errors that no run shows.
@@ -404,51 +402,3 @@ def _fastest(response: xr.Dataset, machine: ReducedMachine) -> Array:
         for way in ways.T
     ]
     return np.array(found)
-
-
-def report(fit: Fit) -> dict[str, object]:
-    """Return the results for the parameters, as content of a JSON file.
-
-    Returns
-    -------
-    dict
-        parameters: factor on the case's value, standard deviation of its logarithm before and
-        after, in W/m2K if the name has that unit; directions: singular value and main parameters
-        (|weight| > 0.3), with those determined by the data (`DECIDED`); residuals; doubt: factor on
-        the assumed errors.
-    """
-    after = np.sqrt(np.diag(fit.covariance))
-    singular, directions = fit.directions
-    return {
-        "parameters": [
-            {
-                "parameter": parameter.name,
-                "factor": parameter.factor(float(value)),
-                "prior_std": parameter.spread,
-                "std": float(deviation),
-            }
-            for parameter, value, deviation in zip(
-                fit.parameters, fit.coordinates, after, strict=True
-            )
-        ],
-        "directions": [
-            {
-                "singular_value": float(value),
-                "decided_by": "data" if value > DECIDED else "prior",
-                "of": _named(fit, direction),
-            }
-            for value, direction in zip(singular, directions, strict=True)
-        ],
-        "residual_temperature_K": fit.residual_temperature.tolist(),
-        "residual_displacement_um": (MEGA * fit.residual_displacement).tolist(),
-        "doubt": fit.doubt,
-        "evaluations": fit.evaluations,
-    }
-
-
-def _named(fit: Fit, direction: Array) -> dict[str, float]:
-    return {
-        parameter.name: round(float(weight), 3)
-        for parameter, weight in zip(fit.parameters, direction, strict=True)
-        if abs(weight) > 0.3
-    }

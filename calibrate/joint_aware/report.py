@@ -9,18 +9,61 @@ from typing import Any
 
 import numpy as np
 
-from calibrate.joint_aware.calibration import JointAwareCalibration, report
+from calibrate.joint_aware.calibration import JointAwareCalibration
 from calibrate.joint_aware.identifiability import further_runs, profiles
 from calibrate.joint_aware.physics_fit import Fit
+from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.units import MEGA
 from thermojoint.reduced.parameters import NEW_CONDENSATION
 
 #: Searches agree if their costs are within this of the best, in halves of a squared standard
 #: deviation.
 AGREE = 0.5
+#: A singular value above this is determined by the data: the prior contributes less than a tenth.
+DECIDED = 3.0
 #: A parameter whose uncertainty is still this fraction of the prior one is undetermined: the data
 #: contain less information about it than the prior (1/sqrt(2) is equal information).
 PREDICTION_ONLY = 0.7
+
+
+def report(fit: Fit) -> dict[str, object]:
+    """Return the results for the parameters, as content of a JSON file.
+
+    Returns
+    -------
+    dict
+        parameters: factor on the case's value, standard deviation of its logarithm before and
+        after, in W/m2K if the name has that unit; directions: singular value and main parameters
+        (|weight| > 0.3), with those determined by the data (`DECIDED`); residuals; doubt: factor on
+        the assumed errors.
+    """
+    after = np.sqrt(np.diag(fit.covariance))
+    singular, directions = fit.directions
+    return {
+        "parameters": [
+            {
+                "parameter": parameter.name,
+                "factor": parameter.factor(float(value)),
+                "prior_std": parameter.spread,
+                "std": float(deviation),
+            }
+            for parameter, value, deviation in zip(
+                fit.parameters, fit.coordinates, after, strict=True
+            )
+        ],
+        "directions": [
+            {
+                "singular_value": float(value),
+                "decided_by": "data" if value > DECIDED else "prior",
+                "of": _named(fit, direction),
+            }
+            for value, direction in zip(singular, directions, strict=True)
+        ],
+        "residual_temperature_K": fit.residual_temperature.tolist(),
+        "residual_displacement_um": (MEGA * fit.residual_displacement).tolist(),
+        "doubt": fit.doubt,
+        "evaluations": fit.evaluations,
+    }
 
 
 def short_report(calibrated: JointAwareCalibration) -> dict[str, Any]:
@@ -104,3 +147,11 @@ def _starts(fit: Fit) -> list[dict[str, Any]]:
         }
         for start in fit.starts
     ]
+
+
+def _named(fit: Fit, direction: Array) -> dict[str, float]:
+    return {
+        parameter.name: round(float(weight), 3)
+        for parameter, weight in zip(fit.parameters, direction, strict=True)
+        if abs(weight) > 0.3
+    }

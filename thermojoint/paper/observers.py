@@ -11,8 +11,9 @@ from concurrent.futures import Executor
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from calibrate.joint_aware.calibration import USUAL, Effort, calibrate_machine, report
+from calibrate.joint_aware.calibration import USUAL, Effort, calibrate_machine
 from calibrate.joint_aware.linear_joint import calibrate_linear_joint
+from calibrate.joint_aware.report import report
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.model_file import read_observer, write_observer
 from fesim.case.schema import (

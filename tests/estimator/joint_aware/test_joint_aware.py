@@ -21,7 +21,6 @@ from calibrate.joint_aware.calibration import (
     JointAwareCalibration,
     calibrate_machine,
     calibrated_range,
-    report,
 )
 from calibrate.joint_aware.identifiability import further_runs, profiles
 from calibrate.joint_aware.left_out import widened
@@ -34,7 +33,7 @@ from calibrate.joint_aware.open_band import (
 )
 from calibrate.joint_aware.physics_fit import Search, Slopes, fit_physics
 from calibrate.joint_aware.readings import run_in
-from calibrate.joint_aware.report import whole_report
+from calibrate.joint_aware.report import report, whole_report
 from estimator.interface import Status
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.filter_design import NOISE, correct
