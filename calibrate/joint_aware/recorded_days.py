@@ -45,7 +45,7 @@ DIRECTIONS = 12
 
 
 @dataclass(frozen=True, eq=False)
-class Results:
+class Signals:
     """Signals of an observer in a run, or in a part of it."""
 
     #: Shape (n, s q): relaxations of the heat.
@@ -57,9 +57,9 @@ class Results:
     #: Factor on its errors in the sum of squares.
     weight: float = 1.0
 
-    def part(self, at: slice) -> Results:
+    def part(self, at: slice) -> Signals:
         """Return a part of it."""
-        return Results(self.relaxed[at], self.means[at], self.errors[at], self.weight)
+        return Signals(self.relaxed[at], self.means[at], self.errors[at], self.weight)
 
 
 class _Told(NamedTuple):
@@ -77,7 +77,7 @@ def is_day(run: Run) -> bool:
     return run.length * len(run.inputs) > LONGEST
 
 
-def shown_in(model: ObserverModel, run: Run) -> Results:
+def shown_in(model: ObserverModel, run: Run) -> Signals:
     """Return the signals of an observer in a run, as means over `MEAN`."""
     samples = samples_of(run, len(model.sources) + len(model.surfaces))
     results = JointAware(replace(model, power_shares={})).results(samples)
@@ -85,11 +85,11 @@ def shown_in(model: ObserverModel, run: Run) -> Results:
     ends = np.arange(MEAN, run.times[-1] + MEAN, MEAN)
     relaxed, means, errors = (means_in(values, run.times, ends)[0] for values in each)
     weight = SHORT if run.length * len(run.inputs) <= SLOW else 1.0
-    return Results(relaxed, means, errors, weight)
+    return Signals(relaxed, means, errors, weight)
 
 
 def with_days(
-    model: ObserverModel, days: Sequence[Results], others: Sequence[Results]
+    model: ObserverModel, days: Sequence[Signals], others: Sequence[Signals]
 ) -> tuple[ObserverModel, float]:
     """Return a model with corrections learned from recorded days.
 
@@ -100,9 +100,9 @@ def with_days(
     ----------
     model : ObserverModel
         Of the observer that gave the signals.
-    days : sequence of Results
+    days : sequence of Signals
         At least one.
-    others : sequence of Results
+    others : sequence of Signals
         The other runs, which the corrections must not contradict.
     """
     every, parts = [*others, *days], list(days) if len(days) > 1 else _halves(days[0])
@@ -126,7 +126,7 @@ def with_days(
     return replace(known, band=band), float(squares.mean())
 
 
-def _halves(day: Results) -> list[Results]:
+def _halves(day: Signals) -> list[Signals]:
     read = np.flatnonzero(np.isfinite(day.errors).any(axis=1))
     middle = int(read[read.size // 2])
     return [day.part(slice(middle)), day.part(slice(middle, None))]
@@ -139,11 +139,11 @@ def _slow(model: ObserverModel) -> NDArray[np.int64]:
     return np.flatnonzero(slow)
 
 
-def _features(model: ObserverModel, results: Results) -> Array:
-    return np.hstack([results.relaxed[:, _slow(model)], results.means])
+def _features(model: ObserverModel, signals: Signals) -> Array:
+    return np.hstack([signals.relaxed[:, _slow(model)], signals.means])
 
 
-def _told(model: ObserverModel, runs: Sequence[Results]) -> list[_Told]:
+def _told(model: ObserverModel, runs: Sequence[Signals]) -> list[_Told]:
     """Coefficients of the features by runs, axis by axis."""
     features = np.vstack([run.weight * _features(model, run) for run in runs])
     errors = np.vstack([run.weight * run.errors for run in runs])
@@ -184,7 +184,7 @@ def _regressed(features: Array, error: Array) -> _Told:
 
 
 def _knowing(
-    model: ObserverModel, found: Sequence[_Told], runs: Sequence[Results]
+    model: ObserverModel, found: Sequence[_Told], runs: Sequence[Signals]
 ) -> ObserverModel:
     """The model with coefficients by `runs`, and their uncertainty and residual in its band."""
     slow, band = _slow(model), model.band
@@ -225,14 +225,14 @@ def _directions(covariance: Array, features: Array) -> Array:
     return np.asarray((factor @ turned.T).T[:DIRECTIONS])
 
 
-def _left(model: ObserverModel, known: ObserverModel, results: Results) -> Array:
+def _left(model: ObserverModel, known: ObserverModel, signals: Signals) -> Array:
     """Errors (n, axes), m, of a corrected model, `known`, in a part of a run with `model`."""
     gain = known.discrepancy.displacement - model.discrepancy.displacement
-    corrected = results.relaxed @ gain.T + Observer(known).displacement_by(results.means)
-    return np.asarray(results.errors + corrected)
+    corrected = signals.relaxed @ gain.T + Observer(known).displacement_by(signals.means)
+    return np.asarray(signals.errors + corrected)
 
 
-def _expected(model: ObserverModel, results: Results) -> Array:
+def _expected(model: ObserverModel, signals: Signals) -> Array:
     """Variance (n, axes), m2, of the band of a model in a part of a run."""
-    parts = Observer(model).model_error(results.relaxed, KNOWN, results.means)
+    parts = Observer(model).model_error(signals.relaxed, KNOWN, signals.means)
     return np.asarray(model.band.steady + np.square(parts).sum(axis=-1))
