@@ -132,11 +132,6 @@ def counted_in(run: Run, axes: Sequence[int]) -> Array:
     return np.array(counted).reshape(whole.shape[1], run.times.size).T
 
 
-def coarser(run: Run, steps: int) -> Run:
-    """Return a run in at most this many steps (`joined`)."""
-    return joined(run, math.ceil(len(run.inputs) / steps))
-
-
 def joined(run: Run, factor: int) -> Run:
     """Return a run in steps `factor` times as long: means of its inputs, sums of the travel."""
     count = math.ceil(len(run.inputs) / factor)
@@ -159,7 +154,7 @@ def searched(machine: ReducedMachine, runs: Sequence[Run], steps: int) -> list[R
     return [
         run
         if np.ptp(run.inputs[:, run.inputs.shape[1] - axes :], axis=0).any()
-        else coarser(run, steps)
+        else joined(run, math.ceil(len(run.inputs) / steps))
         for run in runs
     ]
 
