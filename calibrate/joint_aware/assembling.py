@@ -6,17 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from calibrate.joint_aware.past import Pasts, answer, random_pasts, states_after
+from calibrate.joint_aware.past import COLUMNS, answer, random_pasts, start_factor, states_after
 from calibrate.joint_aware.physics_fit import Fit
 from calibrate.joint_aware.sticking import combinations, tangents_at
-from estimator.joint_aware.filter_design import (
-    NOISE,
-    Noise,
-    SteadyFilter,
-    compressed,
-    design_filter,
-    linear_system,
-)
+from estimator.joint_aware.filter_design import NOISE, Noise, design_filter, linear_system
 from estimator.joint_aware.observer_model import Band, Calibrated, ObserverModel
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError
@@ -24,8 +17,6 @@ from thermojoint.reduced.machine import Modes, ReducedMachine, diagonal_modes
 from thermojoint.reduced.parameters import factors_of, with_factors
 from thermojoint.reduced.unknown_heat import with_unknown_heat
 
-#: Columns of the covariance factor of an unknown start.
-COLUMNS = 12
 #: Unknown heat of a face, relative to the mean of the sources, and the standard deviation of the
 #: displacement, relative to the largest, up to which thermometers determine it: on six structural
 #: plants 0.02 to 0.3 % with ten thermometers on all bodies, 2 to 4 % with four on one body.
@@ -39,9 +30,10 @@ def make_observer(
 ) -> ObserverModel:
     """Return the observer of a fitted machine; see `observer_from_rest`."""
     model = observer_from_rest(machine, fit, calibrated, noise)
-    pasts = random_pasts(calibrated.heat, machine.power.size)
-    warm = warm_columns(model.modes, fit.discrepancy.rates, machine.power, model.filter, pasts)
-    return replace(model, warm=warm)
+    pasts, steady = random_pasts(calibrated.heat, machine.power.size), model.filter
+    rates = fit.discrepancy.rates
+    states = states_after(model.modes, rates, machine.power, steady.walk, pasts)
+    return replace(model, warm=start_factor(states, steady.scale))
 
 
 def observer_from_rest(
@@ -178,25 +170,3 @@ def seen_heat(machine: ReducedMachine, fit: Fit, calibrated: Calibrated, largest
         return 0.0
     told = np.sqrt(found.band.steady) <= TOLD * largest
     return heat if told.all() else 0.0
-
-
-def warm_columns(
-    modes: Modes, rates: Array, power: Array, steady: SteadyFilter, pasts: Pasts
-) -> Array:
-    """Return the covariance factor L of an unknown start, shape (n, `COLUMNS`).
-
-    Parameters
-    ----------
-    modes : Modes
-        With the joint held at its preload.
-    rates : ndarray, shape (q,)
-        Of the model discrepancy, 1/s.
-    power : ndarray, shape (s,)
-        Heat of each source at heat input 1, W.
-    steady : SteadyFilter
-        Of the observer.
-    pasts : Pasts
-        Possible pasts of the machine.
-    """
-    every = states_after(modes, rates, power, steady.walk, pasts)
-    return compressed(every / np.sqrt(every.shape[1]), steady.scale, COLUMNS)

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from estimator.joint_aware.filter_design import compressed
 from thermojoint.artefacts.arrays import Array
 from thermojoint.reduced.machine import Modes
 
@@ -41,6 +42,8 @@ class Duty:
 
 #: The default.
 BROAD = Duty()
+#: Columns of the covariance factor of an unknown start.
+COLUMNS = 12
 
 
 class Pasts(NamedTuple):
@@ -118,6 +121,14 @@ def states_after(modes: Modes, rates: Array, power: Array, walk: Array, pasts: P
         amplitudes = decay * amplitudes + grown * (given @ modes.drive.T)
         relaxed = relaxing * relaxed + (1.0 - relaxing) * heat[..., None]
     return np.hstack([amplitudes, relaxed.reshape(count, -1), inputs[-1]]).T
+
+
+def start_factor(states: Array, scale: Array) -> Array:
+    """Return the covariance factor (n, `COLUMNS`) of a start with one of some states (n, k).
+
+    Columns are compared in units of `scale` (n,).
+    """
+    return compressed(states / np.sqrt(states.shape[1]), scale, COLUMNS)
 
 
 def answer(rates: Array, lasted: float) -> Array:

@@ -14,13 +14,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.linalg import qr
 
-from calibrate.joint_aware.assembling import COLUMNS
 from calibrate.joint_aware.misfit import Run, assumed, errors, fit_linear, make_problem
-from calibrate.joint_aware.past import Pasts, answer, states_after
+from calibrate.joint_aware.past import Pasts, answer, start_factor, states_after
 from calibrate.joint_aware.physics_fit import SEARCH, fit_physics
 from calibrate.joint_aware.random_heat import random_course, random_levels
 from calibrate.joint_aware.sticking import combinations
-from estimator.joint_aware.filter_design import NOISE, compressed
+from estimator.joint_aware.filter_design import NOISE
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import ConvergenceError, InputError
 from thermojoint.reduced.discrepancy import relaxation_rates, relaxed
@@ -93,8 +92,7 @@ def with_start(family: Family, machine: ReducedMachine, pasts: Pasts) -> Family:
     modes = diagonal_modes(machine, machine.at_preload)
     walk = np.ones(machine.power.size + 1)
     states = states_after(modes, np.zeros(0), machine.power, walk, pasts)
-    start = compressed(states / np.sqrt(states.shape[1]), np.ones(len(states)), COLUMNS)
-    return replace(family, start=start)
+    return replace(family, start=start_factor(states, np.ones(len(states))))
 
 
 def make_family(machine: ReducedMachine, drawing: Drawing = USUAL) -> Family:

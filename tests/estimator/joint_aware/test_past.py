@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from observed import SENSORS, errors, estimates, run, step
 
-from calibrate.joint_aware.assembling import warm_columns
 from calibrate.joint_aware.past import Duty, Pasts, random_pasts, states_after
 from estimator.joint_aware.estimator import JointAware
 from estimator.joint_aware.observer_state import UNKNOWN
@@ -57,9 +56,7 @@ def test_a_start_on_a_machine_of_known_work_is_nearer_than_one_of_any_work(data,
     response = run(data, setup, step(1.5), 40.0)
     late = response.isel(time=response["time"].to_numpy() >= 1800.0)
     model = estimator.model
-    own = warm_columns(
-        model.modes, model.discrepancy.rates, model.power, model.filter, constant(1.5, 0.5, 60.0)
-    )
+    own = after(estimator, constant(1.5, 0.5, 60.0))
     informed = JointAware(replace(model, warm=np.hstack([own, 0.0 * model.warm[:, 1:]])))
     first = [
         np.abs(errors(one, late, estimates(one, samples_in(late, SENSORS), one.warm_state())[1]))[5]
