@@ -269,10 +269,9 @@ def _tables(
     loss = -model.step * model.modes.rates * heat.decay
     calibrated, readable = estimator.precomputed.calibrated_readings, estimator.precomputed.readable
     band = model.band
-    without = _without(estimator)
+    without, motion = _without(estimator), estimator.precomputed.unreported_motion
     absence = without.uncertainty
-    power = model.power
-    most = estimator.thresholds.heat_jump * model.calibrated.heat * power
+    most = estimator.thresholds.heat_jump * model.calibrated.heat * model.power
     return [
         Table("loss", "What a mode loses in a step.", loss),
         Table("drive", "Modes per W of each source and K of the ambient.", known),
@@ -312,11 +311,7 @@ def _tables(
         Table("surprise", "... per square of an innovation that lasts, m2/K2.", band.surprise),
         Table("open_band", "Error of machines not told apart, m.", band.open),
         *(_days_told(band) if band.seen.size else ()),
-        *(
-            ()
-            if estimator.precomputed.unreported_motion is None
-            else _unreported_motion(estimator.precomputed.unreported_motion)
-        ),
+        *(() if motion is None else _unreported_motion(motion)),
         Table("tolerance", "Of the gap equations, m.", np.array(tolerance)),
     ]
 
@@ -550,13 +545,13 @@ def _every_sample(estimator: JointAware, linear: int) -> Operations:
 def _judging(estimator: JointAware, linear: int, contacts: int) -> Operations:
     """Largest cost of a faulty or missing reading beyond an ordinary sample."""
     model = estimator.model
-    count, sources, modes = len(estimator.observer.system.rows), model.power.size, linear
+    count, sources = len(estimator.observer.system.rows), model.power.size
     sweeps = SWEEPS if sources > 1 else 1
     heat = Operations(count * (sources + 4), count * (sources + 4), 2 * count + 1)
     excluded = heat.times(sweeps * sources) + Operations(
         count * (sources + 3), count * (sources + 4), count, count
     )
-    pending = modes * (contacts + sources + 4) + linear * (count + 2 * model.band.steady.size + 2)
+    pending = linear * (contacts + sources + count + 2 * model.band.steady.size + 6)
     look = Operations(22, 34, 9, 6).times(count) + Operations(count, count)
     return excluded.times(count + 1) + look + Operations(pending, 2 * pending, sources, 4)
 
