@@ -33,9 +33,6 @@ class Precomputed:
 
     #: Observer of the machine.
     observer: Observer
-    #: Whether ordinary samples are processed in compiled code, where it applies; the general rule
-    #: gives the same up to rounding.
-    compiled: bool = True
 
     @cached_property
     def channels(self) -> tuple[Channel, ...]:
@@ -103,7 +100,7 @@ class Precomputed:
         """Data for ordinary samples in compiled code; None where it does not apply."""
         model, observer = self.observer.model, self.observer
         kernel = observer.physics.kernel
-        if kernel is None or not self.compiled:
+        if kernel is None:
             return None
         relaxing = 1.0 / (1.0 + model.step * model.discrepancy.rates)
         own = compiled_sample.Filter(
