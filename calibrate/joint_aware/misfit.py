@@ -107,14 +107,21 @@ class Run:
     def weighted(self, values: Array, axis: int) -> Array:
         """Return values (k, ...) as a fit has them at readings along an axis, 0 elsewhere.
 
-        Errors of a model persist, so that few readings tell as much of them as many do, up to their
-        noise (`SIGMAS`). Where all have the error of their zero, they count relative to their mean.
+        They are weighted. Where all have the error of their zero, they are relative to their mean.
         """
         read, shown = self.read[:, axis], np.zeros_like(values)
         zero = values[read].mean(axis=0) if self.zeroed else 0.0
-        few = math.sqrt(read.size / np.count_nonzero(read))
-        shown[read] = min(few, SIGMAS.displacement / SIGMAS.reading) * (values[read] - zero)
+        shown[read] = self.weight(axis) * (values[read] - zero)
         return shown
+
+    def weight(self, axis: int) -> float:
+        """Return the weight of a reading along an axis.
+
+        Errors of a model persist, so that few readings tell as much of them as many do, up to their
+        noise (`SIGMAS`).
+        """
+        few = math.sqrt(self.times.size / np.count_nonzero(self.read[:, axis]))
+        return min(few, SIGMAS.displacement / SIGMAS.reading)
 
 
 def largest_displacement(runs: Sequence[Run]) -> Array:
@@ -212,6 +219,8 @@ class Channel:
     ridge: Ridge
     #: Prior standard deviation of a gain, K or m; zero for a channel that does not move.
     tau: float
+    #: Root mean square weight of its readings: their noise in them is larger by this.
+    weight: float = 1.0
 
     def whitened(self, errors: Array, sigma: float) -> Array:
         """Return the unexplained part of errors (n,), in units of sigma."""
@@ -221,7 +230,7 @@ class Channel:
         """Return the gains that explain errors (n,), and the residual."""
         if not self.tau:
             return np.zeros(self.ridge.shape.size), errors
-        return self.ridge.gains(errors, sigma, self.tau)
+        return self.ridge.gains(errors, self.weight * sigma, self.tau)
 
 
 def highest_heat(machine: ReducedMachine, runs: Sequence[Run]) -> float:
@@ -265,9 +274,18 @@ def make_problem(machine: ReducedMachine, runs: Sequence[Run]) -> Problem:
         seen,
         shape,
         tuple(Channel(make_ridge(constant, with_offset(tau)), tau) for tau in sensed),
-        tuple(Channel(make_ridge(own, shape), tau) for own, tau in zip(seen, moved, strict=True)),
+        tuple(
+            Channel(make_ridge(own, shape), tau, _usual_weight(runs, axis))
+            for axis, (own, tau) in enumerate(zip(seen, moved, strict=True))
+        ),
         np.ones(len(machine.sensors)),
     )
+
+
+def _usual_weight(runs: Sequence[Run], axis: int) -> float:
+    """Root mean square weight of the readings of the displacement along an axis."""
+    counts = [np.count_nonzero(run.read[:, axis]) for run in runs]
+    return math.sqrt(np.average([run.weight(axis) ** 2 for run in runs], weights=counts))
 
 
 def sampled(values: Array, run: Run, first: Array | None = None) -> Array:

@@ -395,9 +395,9 @@ def _draw(
         shape = np.append(tau * problem.shape, SIGMAS.offset)
         row += _unknown(rng, constant, shape, sensed_sigma)
     moved_sigma = SIGMAS.discrepancy_displacement / assumed
-    for row, seen in zip(displacement, problem.seen, strict=True):
+    for row, seen, channel in zip(displacement, problem.seen, problem.displacement, strict=True):
         tau = _size(row, SIGMAS.discrepancy_displacement, drawing.least_share)
-        row += _unknown(rng, seen, tau * problem.shape, moved_sigma)
+        row += _unknown(rng, seen, tau * problem.shape, channel.weight * moved_sigma)
     return Drawn(
         factors_of(fit.parameters, coordinates),
         Discrepancy(problem.rates, temperature[:, :-1], displacement),

@@ -499,7 +499,8 @@ def _fit(
         offset=linear.offset,
         noise=reading_noise(problem, linear.temperature),
         residual_temperature=np.sqrt(np.mean(linear.temperature**2, axis=0)),
-        residual_displacement=np.sqrt(np.mean(linear.displacement**2, axis=0)),
+        residual_displacement=np.sqrt(np.mean(linear.displacement**2, axis=0, where=problem.read))
+        / [channel.weight for channel in problem.displacement],
         trust=problem.trust,
         doubt=problem.doubt,
         starts=starts,
