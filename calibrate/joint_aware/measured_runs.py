@@ -37,7 +37,7 @@ def runs_of(log: Log, case: Case, displacement: Sequence[str]) -> dict[str, xr.D
     which the machine has cooled. Samples with a missing reading are left out, but displacements may
     be read now and then, each at times of its own: they are NaN in other samples. Spikes of a
     temperature or a displacement (`calibrate.learning.thinning.without_spikes`) are missing
-    readings, with a warning.
+    readings, with a warning, as is given of a displacement that is first read on a warm machine.
 
     Parameters
     ----------
@@ -104,7 +104,10 @@ def runs_of(log: Log, case: Case, displacement: Sequence[str]) -> dict[str, xr.D
         check_cold(begin - cold, list(sensed), where)
         runs[where] = _response(
             log.times[kept],
-            {axis: _from_first(read[kept], f"{where}: {axis}_um") for axis, read in moved.items()},
+            {
+                axis: _from_first(read[kept], heat[kept], f"{where}: {axis}_um")
+                for axis, read in moved.items()
+            },
             {name: read[kept] - cold for name, read in (sensed | surfaces).items()},
             heat[kept],
             None if room is None else room[kept] - cold,
@@ -128,8 +131,11 @@ def _largest_rise(sensed: Array, room: Array | None, whole: Flags) -> Array:
     return np.where(whole, np.abs(sensed - cold).max(axis=0), 0.0)
 
 
-def _from_first(moved: Array, where: str) -> Array:
+def _from_first(moved: Array, heat: Array, where: str) -> Array:
     """Displacement (k,) of a run relative to its first reading, m; NaN where it was not read.
+
+    Warns of a first reading under `heat` (k,): nothing tells what the machine does at once from the
+    zero of the readings.
 
     Raises
     ------
@@ -140,6 +146,12 @@ def _from_first(moved: Array, where: str) -> Array:
     if read.size < LEAST_READ:
         raise InputError(
             f"{where}: {read.size} readings beside all others; a run needs {LEAST_READ}"
+        )
+    if heat[1 : read[0] + 1].any():
+        warnings.warn(
+            f"{where}: its first reading is after the first heat; begin with one of the cold "
+            "machine",
+            stacklevel=3,
         )
     return np.asarray(moved - moved[read[0]])
 

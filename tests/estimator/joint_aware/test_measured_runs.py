@@ -103,7 +103,10 @@ def test_misread_samples_are_left_out_with_a_warning(case, response, tmp_path):
     for k in (0, 20):
         rows[k] = ",".join([*rows[k].split(",")[:-1], "-999"])
     path.write_text("\n".join([header, *rows]), encoding="utf-8")
-    with pytest.warns(UserWarning, match="y_um: samples with a spike, left out: 2"):
+    with (
+        pytest.warns(UserWarning, match="y_um: its first reading is after the first heat"),
+        pytest.warns(UserWarning, match="y_um: samples with a spike, left out: 2"),
+    ):
         found = runs_of(read_log([path]), case_from_data(case, "case", Path()), ["x_um", "y_um"])
     moved = response["displacement"].sel(axis=["x", "y"]).to_numpy()
     wanted = moved - [moved[0, 0], moved[1, 1]]
@@ -148,7 +151,8 @@ def probed(path, x, y):
 def test_a_probe_may_read_one_axis_after_the_other_and_seldom(case, response, tmp_path):
     x, y = [0, 30, 60, 90], [1, 31, 61, 91]
     path = probed(log_of(response, tmp_path / "log.csv"), x, y)
-    found = runs_of(read_log([path]), case_from_data(case, "case", Path()), ["x_um", "y_um"])
+    with pytest.warns(UserWarning, match="run 1: y_um: its first reading is after the first heat"):
+        found = runs_of(read_log([path]), case_from_data(case, "case", Path()), ["x_um", "y_um"])
     one = found["run 1"]
     assert one.sizes["time"] == response.sizes["time"]
     for axis, at in (("x", x), ("y", y)):
