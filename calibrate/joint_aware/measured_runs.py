@@ -75,6 +75,12 @@ def runs_of(log: Log, case: Case, displacement: Sequence[str]) -> dict[str, xr.D
     places = {name: log.at(f"{name}_pos_mm") for name in case.axes}
     ways = {name: log.at(f"{name}_way_mm") for name, axis in case.axes.items() if axis.odometer}
     room = _temperatures(log, ["ambient"]).get("ambient")
+    if room is None:
+        warnings.warn(
+            "log: no ambient_degC: it is taken as that of the start of each run; record it, as an "
+            "estimate needs it",
+            stacklevel=2,
+        )
     needed = [
         *(sensed | surfaces).items(),
         ("heat", power),

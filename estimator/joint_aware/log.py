@@ -109,6 +109,11 @@ def _columns(log: Log, sensors: Sequence[str], where: str) -> tuple[list[int], b
         return [rises.get(name, -1) for name in wanted], True
     if set(wanted) <= set(read):
         return [read[name] for name in wanted], False
+    if set(sensors) <= set(read):
+        raise InputError(
+            f"{where}: no column ambient_degC, of the air, which the model needs beside its "
+            "sensors; record it, or name yours: --column THEIRS=ambient_degC"
+        )
     above_ambient = ", ".join(f"{name}_K" for name in sensors)
     absolute = ", ".join(f"{name}_degC" for name in wanted)
     raise InputError(

@@ -745,7 +745,7 @@ def test_a_broken_first_reading_of_the_ambient_is_no_cold_machine(estimator, bro
     ("lines", "what"),
     [
         (["time_s,s_K", "0,1"], "the model needs time_s, s_K, b_K"),
-        (["time_s,s_degC,b_degC", "0,1,1"], "ambient_degC"),
+        (["time_s,s_degC,b_degC", "0,1,1"], "log: no column ambient_degC, of the air"),
         (["time_s,s_K,b_K,ambient_degC", "0,1,1,20"], "ambient_degC is no rise"),
         (["time_s,s_degC,s_degF,b_degC,ambient_degC", "0,1,99,1,20"], "both the temperature 's'"),
         (["time_s,s_K,b_K", "0,1"], "2 cells, expected 3"),

@@ -24,6 +24,8 @@ from thermojoint.artefacts.response import make_response
 from thermojoint.cli.app import app
 from thermojoint.reduced.machine import reduce_machine
 
+pytestmark = pytest.mark.filterwarnings("ignore:log. no ambient_degC")
+
 
 @pytest.fixture(scope="module")
 def case(coarse_data):
@@ -53,7 +55,10 @@ def log_of(response, path, warm=0.0):
 
 def test_a_run_of_a_log_is_the_response_that_was_measured(case, response, tmp_path):
     log = read_log([log_of(response, tmp_path / "log.csv")])
-    found = runs_of(log, case_from_data(case, "case", Path()), ["x_um", "y_um"])
+    with pytest.warns(
+        UserWarning, match="no ambient_degC: it is taken as that of the start of each"
+    ):
+        found = runs_of(log, case_from_data(case, "case", Path()), ["x_um", "y_um"])
     one = found["run 1"]
     wanted = response["temperature"].sel(probe=list(SENSORS)).to_numpy()
     assert one["temperature"].to_numpy() == pytest.approx(wanted, abs=1e-6)
@@ -116,7 +121,7 @@ def test_misread_samples_are_left_out_with_a_warning(case, response, tmp_path):
     )
 
 
-@pytest.mark.filterwarnings("error")
+@pytest.mark.filterwarnings("error:.*spike")
 def test_the_cold_sensor_of_a_source_before_a_step_is_no_spike(case, response, tmp_path):
     """Half of its rise comes between the first two readings."""
     steep = response.copy(deep=True)
