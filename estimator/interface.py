@@ -12,7 +12,7 @@ from enum import IntFlag, auto
 from typing import NamedTuple, Protocol
 
 from thermojoint.artefacts.arrays import Array
-from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.errors import ThermojointError
 
 #: Default standard deviation of a displacement reading, m.
 READING_NOISE = 0.5e-6
@@ -156,8 +156,9 @@ class Estimator(Protocol):
 
         Raises
         ------
-        InputError
-            Time does not increase, or a value is unusable. The state can be used again.
+        InputError, ConvergenceError
+            Time does not increase, a value is unusable, or a solver does not reach its tolerance.
+            The state can be used again.
         """
         ...
 
@@ -184,12 +185,12 @@ def follow(
 
     Raises
     ------
-    InputError
-        As `Estimator.sample`, with the number of the sample (from 0).
+    InputError, ConvergenceError
+        As `Estimator.sample`, with the number of the sample (from 0) and its time.
     """
     for index, (time, *values) in enumerate(samples):
         try:
             state, estimate = estimator.sample(state, time, values)
-        except InputError as error:
-            raise InputError(f"sample {index}: {error}") from error
+        except ThermojointError as error:
+            raise type(error)(f"sample {index} at {time:.15g} s: {error}") from error
         yield state, estimate

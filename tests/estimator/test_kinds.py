@@ -15,9 +15,10 @@ from typer.testing import CliRunner
 from written_estimates import assert_compensate_reads_what_is_written
 
 import thermojoint as tj
+from estimator.interface import follow
 from estimator.registry import known_schemas
 from estimator.states import as_bytes, from_bytes
-from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.errors import ConvergenceError, InputError, ThermojointError
 from thermojoint.cli.app import app
 from thermojoint.live.archive import Archive
 from thermojoint.models.baselines import Autoregression, Baselines, Regression, write_baselines
@@ -263,3 +264,23 @@ def test_a_state_comes_back_from_its_bytes_and_a_changed_byte_is_found(values, a
     k = at % len(data)
     with pytest.raises(InputError, match=r"damaged|another model"):
         from_bytes(data[:k] + bytes([data[k] ^ 1]) + data[k + 1 :], "a model", "mill")
+
+
+class Stopping:
+    """Makes nothing of its second sample."""
+
+    def __init__(self, error):
+        self.error = error
+
+    def sample(self, state, time, values):
+        if time > 10.0:
+            raise self.error("joint: no equilibrium; give smaller steps")
+        return state, None
+
+
+@pytest.mark.parametrize("error", [InputError, ConvergenceError])
+def test_the_sample_that_stops_a_run_is_named_with_its_time(error):
+    """Of a joint without an equilibrium nobody knew in which of a day's rows to look."""
+    with pytest.raises(ThermojointError, match=r"^sample 1 at 20\.5 s: joint: no eq") as stopped:
+        list(follow(Stopping(error), [(0.5, 1.0), (20.5, 1.0)], np.zeros(1)))
+    assert type(stopped.value) is error
