@@ -314,7 +314,14 @@ def estimate(  # noqa: PLR0913 - the options of a command
                 save_state(estimator, state, save, cold.value)
 
         samples = measured.some(samples, where)
-        _write_estimates(estimator, state, samples, out, keep if save else None, asks)
+        refused = _write_estimates(estimator, state, samples, out, keep if save else None, asks)
+    if refused:
+        console.warn(
+            [
+                f"{readings}: refused at {refused} samples (reading-refused), of {len(read[0])} "
+                "readings: they correct nothing; check their clock, zero, sign and unit"
+            ]
+        )
     console.wrote(out, save)
 
 
@@ -325,13 +332,16 @@ def _write_estimates(
     out: Path,
     save: Callable[[Array], None] | None,
     asks: Callable[[Array], NextReading | None] | None,
-) -> None:
-    """Write one row for each sample, with the reading that is asked for; save the last state."""
+) -> int:
+    """Write one row for each sample, with the reading that is asked for; save the last state.
+
+    Return the number of samples of which a displacement reading was refused.
+    """
     from estimator import estimate_table
-    from estimator.interface import follow
+    from estimator.interface import Status, follow
     from thermojoint.artefacts.unfinished import cleared_at_stop
 
-    live = str(out) == "-"
+    live, refused = str(out) == "-", 0
 
     def keep_state() -> None:
         if save and live:
@@ -347,11 +357,13 @@ def _write_estimates(
                 asked = estimate_table.next_reading_cells(asks(state)) if asks else ()
                 writer.writerow(estimate_table.row(estimator, result, asked))
                 target.flush()
+                refused += Status.READING_REFUSED in result.status
         finally:
             # Rows on standard output are already delivered, even if the pipe breaks.
             keep_state()
     if save and not live:
         save(state)
+    return refused
 
 
 def assemble(

@@ -267,3 +267,17 @@ def test_the_command_starts_warm_and_takes_readings(estimator, response, tmp_pat
     result = CliRunner().invoke(app, [*common, "--reading-noise-um", "0.2"])
     assert "--reading-noise-um" in str(result.exception)
     assert not out.exists()
+
+
+def test_the_command_says_how_many_readings_were_refused(estimator, response, tmp_path):
+    """It ended as if they had corrected the estimate; only the statuses said that none had."""
+    model, given, probe = tmp_path / "model.h5", tmp_path / "given.nc", tmp_path / "probe.csv"
+    write_observer(estimator.model, model)
+    write_response(response.isel(time=slice(0, 60)), given)
+    probe.write_text("time_s,x_um\n40,-5000\n60,4000\n80,-3000\n")
+    out = tmp_path / "out.csv"
+    command = ["estimate", model, given, "--readings", probe, "--out", out]
+    result = CliRunner().invoke(app, [*map(str, command)])
+    assert result.exit_code == 0, result.output
+    assert "probe.csv: refused at 3 samples (reading-refused), of 3 readings" in result.output
+    assert out.read_text().count("reading-refused") == 3
