@@ -7,6 +7,7 @@ and restored bit for bit, and one estimator serves any number of machines of the
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from enum import IntFlag, auto
 from typing import NamedTuple, Protocol
@@ -16,6 +17,8 @@ from thermojoint.artefacts.errors import ThermojointError
 
 #: Default standard deviation of a displacement reading, m.
 READING_NOISE = 0.5e-6
+#: Added to a status in words: no recent sample, or one without any reading.
+SILENT = "silent"
 
 
 class Status(IntFlag):
@@ -82,6 +85,8 @@ class Estimate(NamedTuple):
         The estimator's own `details`.
     missing, distrusted : tuple of str
         Channels that were empty, and channels with a value that were excluded.
+    silent : bool
+        Whether the sample had no reading at all, as `follow` notes it.
     """
 
     time: float
@@ -91,15 +96,17 @@ class Estimate(NamedTuple):
     details: Array
     missing: tuple[str, ...] = ()
     distrusted: tuple[str, ...] = ()
+    silent: bool = False
 
     @property
     def words(self) -> str:
         """The status in words, with the channels concerned: ``sensor-distrusted:T1,T2``."""
         named = {"reading-missing": self.missing, "sensor-distrusted": self.distrusted}
-        words = (
+        words = [
             f"{reason}:{','.join(named[reason])}" if named.get(reason) else reason
             for reason in self.status.reasons
-        )
+        ]
+        words += [SILENT] * self.silent
         return " ".join(words) or "ok"
 
 
@@ -193,4 +200,5 @@ def follow(
             state, estimate = estimator.sample(state, time, values)
         except ThermojointError as error:
             raise type(error)(f"sample {index} at {time:.15g} s: {error}") from error
-        yield state, estimate
+        heard = any(map(math.isfinite, values))
+        yield state, estimate if heard else estimate._replace(silent=True)

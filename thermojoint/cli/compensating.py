@@ -38,9 +38,10 @@ def compensate(
     import numpy as np
 
     from estimator.estimate_table import read_estimate, strokes_of
+    from estimator.interface import SILENT
     from thermojoint import console
     from thermojoint.compensation.offsets.output import band_along
-    from thermojoint.compensation.offsets.preview import header, preview, row_of
+    from thermojoint.compensation.offsets.preview import header, heard_by, preview, row_of
     from thermojoint.compensation.offsets.settings import (
         check_axes,
         read_settings,
@@ -72,8 +73,9 @@ def compensate(
     times, trust = [row.time for row in rows], wanted.trust
     _report(arguments.shown(estimate), times, counted)
     against = Counter[str]()
-    for row, band in zip(rows, bands, strict=True):
+    for row, band, heard in zip(rows, bands, heard_by(rows), strict=True):
         against.update(reasons_against(trust, band, row.status))
+        against.update([SILENT] * bool(row.time - heard > trust.oldest))
     if against:
         parts = ", ".join(f"{why} {100.0 * n / len(rows):.3g} %" for why, n in against.items())
         console.say(f"  unusable by {settings}: {parts} of the estimates")

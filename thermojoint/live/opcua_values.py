@@ -11,12 +11,13 @@ from typing import Any
 from asyncua import ua
 
 from estimator.estimate_table import detail_name, detail_scale
+from estimator.interface import SILENT
 from estimator.quality import Quality, reasons_of
 from thermojoint.artefacts.quantities import column_named
 from thermojoint.artefacts.units import MEGA, MILLI
 from thermojoint.compensation.offsets.output import Mode
 from thermojoint.live.publication import Layout, Publication
-from thermojoint.live.quality import REFUSED, SILENT
+from thermojoint.live.quality import REFUSED
 
 _CODES = ua.StatusCodes
 #: Units of details, which are published in micrometres, and of readings in their own units.

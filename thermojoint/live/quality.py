@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from estimator.interface import SILENT
 from estimator.quality import Quality
 
-#: Added to a status by the service: no recent sample; a sample that the estimator refused.
-SILENT, REFUSED = "silent", "refused"
+#: Status of a sample that the estimator refused.
+REFUSED = "refused"
 
 
 def quality_at(age: float, uncertain: float, bad: float) -> Quality:

@@ -13,6 +13,7 @@ from small_disk import fill, mounted
 
 from benchmarks import offset_invariant
 from estimator.estimate_table import Row
+from estimator.interface import follow
 from estimator.quality import Quality
 from thermojoint.artefacts.errors import InputError
 from thermojoint.compensation.offsets.preview import preview
@@ -558,6 +559,30 @@ def test_samples_without_any_reading_are_silence(deaf, store, nothing):
     assert fleet.metrics.registry.get_sample_value(
         "thermojoint_offset_seconds_total", {"machine": "mill", "mode": "decay"}
     )
+
+
+@pytest.mark.parametrize("deaf_from", [0, 30])
+def test_the_preview_of_samples_without_any_reading_is_what_the_service_sends(
+    deaf, store, deaf_from
+):
+    """It followed the estimator's prediction, for hours if the status allowed it."""
+    fleet, found = fleet_of(deaf, store, START), []
+    told = [
+        (START + k, *(2 * [math.nan] if deaf_from <= k < 80 else (20.0, 0.0))) for k in range(100)
+    ]
+    for k, (time, *given) in enumerate(told):
+        results = processing.process(fleet, [Arrival("mill", time, given, time)], *at(k))
+        found.append(results.publications["mill"])
+    start = deaf.estimator.initial_state()
+    rows = [
+        Row(one.time, one.displacement, one.band, one.words)
+        for _, one in follow(deaf.estimator, told, start)
+    ]
+    previewed = list(preview(deaf.output, deaf.estimator.axes, rows))
+    assert [one.state for one in previewed] == [one.offset_mode for one in found]
+    for one, sent in zip(previewed, found, strict=True):
+        assert one.offsets.tolist() == sent.offsets.tolist()
+    assert previewed[70].state == ("decay" if deaf_from else "wait")
 
 
 def started(model, store, path, log, k):

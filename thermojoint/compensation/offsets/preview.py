@@ -9,6 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.estimate_table import Row, strokes_of
+from estimator.interface import SILENT
+from estimator.quality import reasons_of
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.units import MICRO, MILLI
@@ -69,7 +71,7 @@ def preview(
     check_axes(settings, (*axes, *rows[0].places), where)
     output = with_slopes(settings, strokes_of(axes, rows), where).output
     references = np.array([one.reference for one in output.slopes])
-    times = np.array([row.time for row in rows])
+    times, heard = np.array([row.time for row in rows]), heard_by(rows)
     state = at_zero(output)
     # Rounding errors must not drop the last cycle.
     cycles = float(times[-1] - times[0]) / settings.cycle + 1e-9
@@ -82,14 +84,24 @@ def preview(
     for index in range(count):
         time = float(times[0] + index * settings.cycle)
         at = time + 1e-12 * abs(time)
-        row = rows[int(np.searchsorted(times, at, side="right")) - 1]
+        k = int(np.searchsorted(times, at, side="right")) - 1
+        row = rows[k]
         band = band_along(output, axes, row.band, row.lines)
-        used = usable(settings.trust, time - row.time, band, row.status)
+        used = usable(settings.trust, time - float(heard[k]), band, row.status)
         seen = row.displacement, row.lines, row.places
         target = followed(output, axes, *seen) if used else None
         state = cycle(output, state, time, target)
         offsets, slopes = offsets_of(output, state), slopes_of(output, state)
         yield Cycle(time, offsets, slopes, references, mode_of(output, state).value)
+
+
+def heard_by(rows: Sequence[Row]) -> Array:
+    """Return the time of the last estimate from any reading at each of some rows, s.
+
+    The first row counts as one: as in the service, silence begins with the run.
+    """
+    heard = [(rows[0] if SILENT in reasons_of(row.status) else row).time for row in rows]
+    return np.maximum.accumulate(heard)
 
 
 def header(settings: Settings) -> list[str]:
