@@ -118,6 +118,13 @@ class ContactProblem:
         parts = [law.conductance(pressure[at]) for law, at in self.slices()]
         return np.concatenate([np.empty(0), *parts])
 
+    def conducts(self, pressure: Array, opening: Array, rise: Array, jump: Array) -> Array:
+        """Contact and gap together at every contact element, W/(m2 K), as `JointLaw.conducts`."""
+        parts = [
+            law.conducts(pressure[at], opening[at], rise[at], jump[at]) for law, at in self.slices()
+        ]
+        return np.concatenate([np.empty(0), *parts])
+
     @cached_property
     def conducts_by_pressure(self) -> bool:
         """Whether the conductance depends on the pressures alone."""

@@ -88,11 +88,7 @@ class CondensedMachine:
             return self.contact.conductance(state.pressure)
         rise = self.thermal.mean @ state.temperature
         jump = self.thermal.jump @ state.temperature
-        parts = [
-            law.conducts(state.pressure[at], state.gap[0, at], rise[at], jump[at])
-            for law, at in self.contact.slices()
-        ]
-        return np.concatenate(parts)
+        return self.contact.conducts(state.pressure, state.gap[0], rise, jump)
 
     def strained(self, temperature: Array) -> Array:
         """Return the equivalent temperatures (n,) for S_T, which include `growth`."""

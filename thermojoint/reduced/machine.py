@@ -234,8 +234,9 @@ class ReducedMachine:
         modes = own_modes(self)
         if self.guide is not None:
             modes = placed(modes, self.guide.first)
-        rest = rest_of(contact_of(modes, self.laws), modes)
-        return conducted(self.laws, modes, rest, modes.start)
+        contact = contact_of(modes, self.laws)
+        rise, jump = modes.mean @ modes.start, modes.jump @ modes.start
+        return conducted(contact, rest_of(contact, modes), rise, jump)
 
     def strained(self, modulus: float, expansion: float) -> ReducedMachine:
         """Return the machine with factors on elastic modulus and thermal expansion."""
@@ -259,33 +260,10 @@ class ReducedMachine:
         return replace(self, elastic=self.elastic.with_probes(probes), guide=guide)
 
 
-def conducted(laws: Laws, modes: Modes, joint: Rest, amplitudes: Array) -> Array:
-    """Return conductance times area of every contact element, W/K, shape (m,).
-
-    Parameters
-    ----------
-    laws : sequence of (JointLaw, int)
-        The law of each joint and its number of contact elements.
-    modes : Modes
-        Of the machine.
-    joint : Rest
-        With the pressures and the gaps; a `JointState` is one.
-    amplitudes : ndarray, shape (r,)
-        Of the modes.
-    """
-    rise, jump = modes.mean @ amplitudes, modes.jump @ amplitudes
-    return conductances(laws, joint, rise, jump, modes.elastic.area)
-
-
-def conductances(laws: Laws, joint: Rest, rise: Array, jump: Array, area: Array) -> Array:
+def conducted(contact: ContactProblem, joint: Rest, rise: Array, jump: Array) -> Array:
     """Return conductance times area (m,), W/K, at temperatures and jumps (m,), K, of contacts."""
-    parts, start = [np.empty(0)], 0
-    for law, count in laws:
-        at = slice(start, start + count)
-        each = law.conducts(joint.pressure[at], joint.gap[0, at], rise[at], jump[at])
-        parts.append(each * area[at])
-        start += count
-    return np.concatenate(parts)
+    each = contact.conducts(joint.pressure, joint.gap[0], rise, jump)
+    return each * contact.elastic.area[: contact.count]
 
 
 def _acting(case: Case, setup: Setup) -> Acting | None:

@@ -19,7 +19,6 @@ from fesim.axes.corner_table import CornerTables
 from fesim.axes.guideway import Place, sides
 from fesim.axes.mapping import surveyed
 from fesim.joint.blocks import one_block
-from fesim.joint.law import JointLaw
 from fesim.joint.loosening import UNWATCHED
 from fesim.march.alternation import alternating
 from fesim.march.compiled_march import MarchKernel, Moving, march_steps
@@ -55,7 +54,6 @@ from thermojoint.reduced.guided_march import (
 from thermojoint.reduced.machine import (
     Joint,
     Modes,
-    conductances,
     conducted,
     contact_of,
     evenly_exchanged,
@@ -83,8 +81,6 @@ class Physics:
 
     #: With the joint held at its preload.
     modes: Modes
-    #: The law of each joint and its number of contact elements.
-    laws: Sequence[tuple[JointLaw, int]]
     #: Shape (m,): conductance times area that belongs to the modes, W/K.
     held: Array
     #: Its gap equations, without the heat. On axes, those at the first positions.
@@ -115,7 +111,7 @@ class Physics:
     def aligned(self) -> Aligned:
         """Elasticity at the aligned positions of an axis."""
         assert self.modes.way is not None  # asked for on an axis only
-        return aligned_elasticity(self.modes.way, self.laws)
+        return aligned_elasticity(self.modes.way, self.contact.laws)
 
     @cached_property
     def tables(self) -> CornerTables:
@@ -132,11 +128,6 @@ class Physics:
         if self.modes.way is None or len(self.modes.way.stations.positions) > 1:
             return None
         return joint_kernel(self.contact, np.zeros((self.contacts, 0)), self.held)
-
-    @property
-    def preload(self) -> Array:
-        """Of every contact element, Pa."""
-        return self.contact.preload
 
     @property
     def contacts(self) -> int:
@@ -163,7 +154,8 @@ class Physics:
 
     def beyond_held(self, joint: JointState, amplitudes: Array) -> Array:
         """Conductance times area that the modes do not include, W/K, shape (m,)."""
-        return conducted(self.laws, self.modes, Rest(*joint), amplitudes) - self.held
+        rise, jump = self.modes.mean @ amplitudes, self.modes.jump @ amplitudes
+        return conducted(self.contact, Rest(*joint), rise, jump) - self.held
 
 
 @lru_cache(maxsize=KEPT)
@@ -173,14 +165,14 @@ def _standing(physics: Physics, place: Place) -> Physics:
     elastic = way.contact_at(place)
     unused = np.zeros((physics.contacts, elastic.thermal_gap.shape[1]))
     modes = replace(physics.modes, elastic=elastic, jump=unused, mean=unused, way=None)
-    held, contact = np.zeros_like(physics.held), contact_of(modes, physics.laws)
-    return Physics(modes, physics.laws, held, contact)
+    contact = contact_of(modes, physics.contact.laws)
+    return Physics(modes, np.zeros_like(physics.held), contact)
 
 
 def make_physics(modes: Modes, joints: Sequence[Joint], held: Array) -> Physics:
     """Return the physics of a machine whose modes were made with `held`."""
     laws = [(joint.law, joint.conductivity.size) for joint in joints]
-    return Physics(modes, laws, held, contact_of(modes, laws))
+    return Physics(modes, held, contact_of(modes, laws))
 
 
 @lru_cache(maxsize=64)
@@ -308,7 +300,7 @@ def _conduct_passing(
     stations, temperature = modes.way.stations, modes.jump @ amplitudes
     passage = stations.passage(way.start, way.end)
     jump, rise = sides(passage.coefficients, temperature, modes.way.means @ amplitudes)
-    each = conductances(physics.laws, Rest(*joint), rise, jump, modes.elastic.area)
+    each = conducted(physics.contact, Rest(*joint), rise, jump)
     beyond = exchange(passage.touches, each, stations.size) - physics.held_exchange
     if any(way.gone):
         ridden = stations.ridden(way.gone).sum(axis=0)
@@ -383,7 +375,7 @@ def settle_plainly(
     after = JointState(
         settled.gap,
         settled.traction.slip,
-        physics.preload + settled.traction.value[0],
+        physics.contact.preload + settled.traction.value[0],
         settled.gap - joint.gap,
     )
     return after, moved_by(physics, after, amplitudes, loads)

@@ -85,8 +85,10 @@ def test_machine_code_marches_as_the_plain_step(machine, law):
     marched = simulate_known(physics, inputs, 10.0)
     amplitudes, joint = np.zeros(physics.modes.rates.size), physics.at_rest()
     # A conductance of the user's own is none that machine code knows.
-    laws = [(replace(law, conductance=partial(law.conductance)), m) for law, m in physics.laws]
-    plain = replace(physics, laws=laws, contact=replace(physics.contact, laws=laws))
+    laws = [
+        (replace(law, conductance=partial(law.conductance)), m) for law, m in physics.contact.laws
+    ]
+    plain = replace(physics, contact=replace(physics.contact, laws=laws))
     assert plain.kernel is None
     sensed, moved = [], []
     for row in inputs:
