@@ -172,7 +172,7 @@ def step_row(row: str, name: str) -> Row:
 
     stands()  # compiled
     ours, other, ratio = paired(lambda: marched(case, ready), stands, REPEATS, process_time)
-    steps = 1e3 / len(ends)
+    steps, machine = 1e3 / len(ends), ready.moving.machine
     elsewhere = restless(case, ready)
     first, again = (seconds(lambda: marched(case, elsewhere), process_time) for _ in range(2))
     slowly = seconds(lambda: marched(case, elsewhere, plainly), process_time)
@@ -185,7 +185,7 @@ def step_row(row: str, name: str) -> Row:
         ratio,
         "ms",
         f"{name}.toml, {len(ends)} steps without what is asked about elsewhere, "
-        f"{ready.moving.machine.contact.count} contact elements and {ready.moving.free} modes; "
+        f"{machine.contact.count} contact elements and {machine.thermal.inputs.shape[0]} modes; "
         f"the machine that stands has {setup.machine.thermal.inputs.shape[0]} modes; without "
         f"machine code for the whole march {plain:.2g} ms, and {without:.2g} ms where it stands; "
         f"where every step ends at a place of its own {steps * again:.2g} ms, {steps * first:.2g} "
@@ -274,7 +274,7 @@ def set_up_row() -> Row:
         ready, setup = set_up_axes(riding), set_up(stands)
         both = lambda: set_up_axes(riding), lambda: set_up(stands)
         ours, other, ratio = paired(*both, 3, process_time)
-    stations = ready.moving.guideway.stations
+    stations, modes = ready.moving.guideway.stations, len(ready.moving.machine.thermal.inputs)
     return Row(
         "moving-set-up",
         ours,
@@ -283,6 +283,6 @@ def set_up_row() -> Row:
         "s",
         f"a guide of 1 m, stations of {STATION:g} mm: {len(stations.positions[0])} aligned "
         f"positions, {stations.size - stations.count} stations under four pads of four contact "
-        f"elements, {setup.spaces.displacement_size} unknowns, {ready.moving.free} modes; the "
+        f"elements, {setup.spaces.displacement_size} unknowns, {modes} modes; the "
         "other side is one position; processor time, median of 3",
     )

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from fesim.axes.condensation import Corner
 from fesim.axes.guideway import GuideStations, Guideway
 from fesim.axes.occupation import STILL
+from fesim.axes.operators import places_at
 from fesim.solid.condensation import ElasticCondensation
 from thermojoint.artefacts.arrays import Array
 
@@ -109,10 +110,9 @@ class CornerTables:
     def _pack(self, corner: Corner) -> CornerTable:
         elastic: ElasticCondensation = self.guideway.elastic[corner]
         held, anchors = self.held, self._anchors
-        places = zip(self.guideway.stations.place, corner, strict=True)
         return CornerTable(
             elastic.compliance[np.ix_(held, held)][self._upper],
             elastic.probe_compliance[:, held],
             np.vstack([elastic.thermal_gap[held, anchors], elastic.probe_thermal[:, anchors]]),
-            np.maximum.reduce([of_axis[at] for of_axis, at in places]),
+            places_at(self.guideway.stations.place, corner),
         )

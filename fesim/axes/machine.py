@@ -64,8 +64,6 @@ class MovingMachine:
     rows: Rows
     #: Number of copies of the meshed part in the whole machine.
     copies: int
-    #: Number of modes; the amplitudes after them are those of held surfaces.
-    free: int
 
     def __post_init__(self) -> None:
         """Create caches of machines at some positions."""
@@ -82,11 +80,6 @@ class MovingMachine:
     def blocks(self) -> BodyRows:
         """`rows` and untied displacements without zeros, computed once for all marches."""
         return body_rows(self.rows, self.guideway.elastic.thermal)
-
-    @property
-    def axes(self) -> int:
-        """Number of axes."""
-        return len(self.guideway.stations.positions)
 
     def standing(self, at: Place) -> CondensedMachine:
         """Return the machine at rest at positions, m."""

@@ -14,7 +14,6 @@ from fesim.solid.joint_operators import JointOperators, directed, frames_of, sid
 from fesim.solid.spaces import Spaces, interpolation
 from meshes.pairing import PairedJoint
 from meshes.travel import Stations
-from thermojoint.artefacts.arrays import Array
 
 
 @dataclass(frozen=True)
@@ -125,8 +124,3 @@ def coupled(
     return csr_array(
         (entries, (np.concatenate([own, tied]), np.concatenate([columns, under]))), shape=shape
     )
-
-
-def untied_springs(operators: GuidedOperators) -> Array:
-    """Return zero springs (3 m + 3 n,) on the rows condensed apart."""
-    return np.zeros(operators.pads.gap.shape[0] + operators.gap.shape[0])

@@ -104,8 +104,8 @@ def set_up_axes(case: Case) -> MovingSetup:
         warnings.warn(line, stacklevel=2)
     _check_guides(case, parts)
     _check_seats(case, parts)
-    asked = [asked_positions(axis) for axis in case.axes.values()]
-    check_collisions(case, parts, Wanted(courses, asked, volume_of(case).places))
+    asked, volume = [asked_positions(axis) for axis in case.axes.values()], volume_of(case)
+    check_collisions(case, parts, Wanted(courses, asked, volume.places))
     with explained_by_size(parts.structure):
         whole = discretised(case, parts)
         moving, modes = _moving(whole, cache_keys(case, before))
@@ -132,14 +132,14 @@ def set_up_axes(case: Case) -> MovingSetup:
         Axis(
             name,
             course,
-            asked_positions(axis),
+            wanted,
             reference_of(axis),
             drive_of(case, setup, name, surfaces_of(whole, modes, name)),
             _carried(case, axis, parts),
         )
-        for (name, axis), course in zip(case.axes.items(), courses, strict=True)
+        for (name, axis), course, wanted in zip(case.axes.items(), courses, asked, strict=True)
     )
-    return MovingSetup(setup, moving, axes, turned_within(case) is not None, volume_of(case))
+    return MovingSetup(setup, moving, axes, turned_within(case) is not None, volume)
 
 
 def axis_inputs(case: Case) -> MarchInputs:
@@ -312,13 +312,7 @@ def _moving(whole: Discretised, keys: CacheKeys) -> tuple[MovingMachine, Thermal
         ContactProblem(guideway.first, parts.laws, constraints=parts.constraints),
         start=start_field(whole.heat, whole.warm, modes),
     )
-    return MovingMachine(
-        machine,
-        guideway,
-        rows,
-        copies,
-        modes.rates.size,
-    ), modes
+    return MovingMachine(machine, guideway, rows, copies), modes
 
 
 def operators_of(whole: Discretised) -> tuple[tuple[Array, ...], GuidedOperators]:
