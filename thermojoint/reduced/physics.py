@@ -216,15 +216,13 @@ def conduct(
         Of the axes.
     """
     step = heat_step(physics.modes, length)
-    if way is not None:
-        alone = step.decay * amplitudes + step.drive @ inputs
-        return _conduct_passing(physics, amplitudes, alone, joint, length, way)
-    kernel = physics.kernel
-    if kernel is not None:
+    if (kernel := physics.kernel) is not None:
         after = np.array(amplitudes)
         conduct_step(step, kernel, heat_work(kernel), after, inputs, joint.pressure)
         return after
     alone = step.decay * amplitudes + step.drive @ inputs
+    if way is not None:
+        return _conduct_passing(physics, amplitudes, alone, joint, length, way)
     if not physics.contacts:
         return alone
     beyond = physics.beyond_held(joint, amplitudes)
