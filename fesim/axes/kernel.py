@@ -23,12 +23,14 @@ from fesim.axes.compiled_march import (
     march_axes,
 )
 from fesim.axes.compiled_passing import Ways, guides_of, new_passed
-from fesim.axes.corner_table import around
+from fesim.axes.corner_table import CornerTables, around
 from fesim.axes.machine import MovingMachine
+from fesim.axes.row_blocks import BodyRows
 from fesim.axes.survey import Here, new_here, pads_of
 from fesim.joint.compiled_gap import trial_at
 from fesim.joint.loosening import watch_work
 from fesim.march.compiled_step import HeatStep, JointState
+from fesim.march.contact import ContactProblem
 from fesim.march.heat_step import heat_balances
 from fesim.march.kernel import joint_kernel, owned, watched_in
 from fesim.march.machine import State
@@ -148,33 +150,57 @@ def ways_of(axes: Sequence[Axis], ends: Array) -> Ways:
 
 def axes_march(moving: MovingMachine, axes: Sequence[Axis]) -> AxesMarch | None:
     """Return the compiled march of a machine, or None if it is not supported."""
-    machine, guideway, tables = moving.machine, moving.guideway, moving.tables
-    thermal, contact, count = machine.thermal, machine.contact, machine.contact.count
-    joint = joint_kernel(contact, np.zeros((count, 0)), np.zeros(count))
-    if joint is None or not contact.conducts_by_pressure or thermal.factor.solver != "diagonal":
+    thermal, contact = moving.machine.thermal, moving.machine.contact
+    if not contact.conducts_by_pressure or thermal.factor.solver != "diagonal":
         return None
-    diagonal, none = thermal.factor.matrix.diagonal(), np.zeros((0, 0))
-    decay = thermal.capacity_rate.diagonal() / diagonal
-    blocks = moving.blocks
+    diagonal = thermal.factor.matrix.diagonal()
+    heat = HeatStep(
+        thermal.capacity_rate.diagonal() / diagonal,
+        owned(thermal.inputs / diagonal[:, None]),
+        np.zeros((0, 0)),
+        owned(moving.rows.joint_influence),
+    )
+    made = axes_kernel(heat, contact, moving.tables, moving.blocks, axes, thermal.step)
+    if made is None:
+        return None
+    kernel, work = made
+    return AxesMarch(moving, axes, kernel._replace(copies=moving.copies), work)
+
+
+def axes_kernel(
+    heat: HeatStep,
+    contact: ContactProblem,
+    tables: CornerTables,
+    blocks: BodyRows,
+    axes: Sequence[Axis],
+    length: float,
+) -> tuple[AxesKernel, AxesWork] | None:
+    """Return the data of a machine on axes, and work arrays; None if a law is not built in.
+
+    Steps have a `length` (s), and `heat` the influence between the rows of the guideway; `contact`
+    is that at the first positions.
+    """
+    count, way = contact.count, tables.guideway
+    joint = joint_kernel(contact, np.zeros((count, 0)), np.zeros(count))
+    if joint is None:
+        return None
     kernel = AxesKernel(
-        HeatStep(decay, owned(thermal.inputs / diagonal[:, None]), none, none),
-        guides_of(guideway.stations, blocks, moving.rows.joint_influence),
-        drives_of(axes, diagonal.size),
+        heat,
+        guides_of(way.stations, blocks, heat.joint_influence),
+        drives_of(axes, heat.decay.size),
         joint,
         pads_of(tables, contact, joint.laws, np.zeros((2, count))),
         blocks.untied,
         blocks.warmed,
-        owned(guideway.running / thermal.step),
+        owned(way.running / length),
         owned(contact.reference_pressure),
         watched_in(contact),
-        moving.copies,
-        thermal.step,
+        1,
+        length,
     )
-    here = new_here(
-        tables.held, len(contact.elastic.probe_compliance), trial_at(np.zeros((3, count)))
-    )
-    sizes = cold_drives(axes).size, len(guideway.elastic.thermal)
-    return AxesMarch(moving, axes, kernel, axes_work(kernel, here, *sizes))
+    probes = len(contact.elastic.probe_compliance)
+    here = new_here(tables.held, probes, trial_at(np.zeros((3, count))))
+    return kernel, axes_work(kernel, here, cold_drives(axes).size, len(way.elastic.thermal))
 
 
 def axes_work(kernel: AxesKernel, here: Here, drives: int, untied: int) -> AxesWork:

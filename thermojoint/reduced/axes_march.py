@@ -12,18 +12,14 @@ from typing import NamedTuple
 import numpy as np
 
 from fesim.axes.axis import Axis
-from fesim.axes.compiled_drive import drives_of
 from fesim.axes.compiled_march import AxesKernel, AxesState, AxesSteps, AxesWork
-from fesim.axes.compiled_passing import Ways, guides_of
+from fesim.axes.compiled_passing import Ways
 from fesim.axes.corner_table import CornerTables, around
-from fesim.axes.kernel import axes_work, march_into
+from fesim.axes.kernel import axes_kernel, march_into
 from fesim.axes.kernel import new_record as new_steps
 from fesim.axes.row_blocks import body_rows
-from fesim.axes.survey import new_here, pads_of
 from fesim.case.history import History
-from fesim.joint.compiled_gap import trial_at
-from fesim.joint.loosening import UNWATCHED
-from fesim.march.compiled_step import HeatStep, JointKernel, JointState
+from fesim.march.compiled_step import HeatStep, JointState
 from fesim.march.contact import ContactProblem
 from fesim.march.kernel import owned
 from fesim.march.passing import Rows
@@ -67,14 +63,9 @@ def new_record(steps: int, first: tuple[Array, Array], probes: int, joint: Joint
 
 
 def reduced_march(
-    heat: HeatStep,
-    modes: Modes,
-    joint: JointKernel,
-    contact: ContactProblem,
-    tables: CornerTables,
-    length: float,
-) -> ReducedMarch:
-    """Return the march of a machine on axes.
+    heat: HeatStep, modes: Modes, contact: ContactProblem, tables: CornerTables, length: float
+) -> ReducedMarch | None:
+    """Return the march of a machine on axes; None if a law is not built in.
 
     Parameters
     ----------
@@ -82,10 +73,8 @@ def reduced_march(
         Of its steps; its influences are those of the guideway's q rows.
     modes : Modes
         Of the machine, with the guideway and the drives.
-    joint : JointKernel
-        At the first positions.
     contact : ContactProblem
-        The same.
+        The joints at the first positions.
     tables : CornerTables
         Of the guideway.
     length : float
@@ -94,32 +83,17 @@ def reduced_march(
     way, drives = modes.way, modes.drives
     assert way is not None  # with axes
     assert drives is not None
-    size, known = modes.drive.shape
+    known = modes.drive.shape[1]
     rows = Rows(way.temperature, heat.influence.T, heat.joint_influence)
-    blocks, count = body_rows(rows, way.elastic.thermal), joint.preload.size
     axes = [
         Axis("", History(np.zeros(1), np.zeros(1)), np.zeros(0), 0.0, drive, np.zeros(3))
         for drive in drives.driving(known - 1, known)
     ]
-    kernel = AxesKernel(
-        # The last inputs of the simulator count the heat of friction.
-        heat._replace(drive=np.pad(heat.drive, ((0, 0), (0, len(axes))))),
-        guides_of(way.stations, blocks, heat.joint_influence),
-        drives_of(axes, size),
-        joint,
-        pads_of(tables, contact, joint.laws, np.zeros((2, count))),
-        blocks.untied,
-        blocks.warmed,
-        owned(way.running / length),
-        owned(contact.reference_pressure),
-        UNWATCHED,
-        1,
-        length,
-    )
-    probes = len(contact.elastic.probe_compliance)
-    here = new_here(tables.held, probes, trial_at(np.zeros((3, count))))
-    work = axes_work(kernel, here, drives.cold.size, len(way.elastic.thermal))
-    return ReducedMarch(tables, kernel, work, known)
+    # The last inputs of the simulator count the heat of friction.
+    counted = heat._replace(drive=np.pad(heat.drive, ((0, 0), (0, len(axes)))))
+    blocks = body_rows(rows, way.elastic.thermal)
+    made = axes_kernel(counted, contact, tables, blocks, axes, length)
+    return None if made is None else ReducedMarch(tables, *made, known)
 
 
 def march_along(

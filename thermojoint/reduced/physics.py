@@ -593,13 +593,11 @@ def _along_axes(physics: Physics, length: float) -> axes_march.ReducedMarch | No
     way, contact, drives = physics.modes.way, physics.contact, physics.modes.drives
     if way is None or drives is None or physics.held.any():
         return None
-    if len(way.stations.positions) == 1 and not drives.any:
-        return None
-    kernel = joint_kernel(contact, np.zeros((physics.contacts, 0)), physics.held)
-    if kernel is None or not contact.conducts_by_pressure:
+    alone = len(way.stations.positions) == 1 and not drives.any
+    if alone or not contact.conducts_by_pressure:
         return None
     heat = heat_step(physics.modes, length)
-    return axes_march.reduced_march(heat, physics.modes, kernel, contact, physics.tables, length)
+    return axes_march.reduced_march(heat, physics.modes, contact, physics.tables, length)
 
 
 def _march_moving(physics: Physics, inputs: Array, length: float, gone: Array | None) -> Marched:
