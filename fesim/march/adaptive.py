@@ -207,9 +207,8 @@ def _begun(machine: CondensedMachine, drive: Histories, start: State) -> Now:
 
 def _after(now: Now, tried: _Tried, end: float, edge: bool) -> Now:
     """The march after an accepted step; the flows' slope within an edge is not used later."""
-    step, length = tried.step, tried.weights.length
-    after = replace(now, time=end, state=step.state, inputs=tried.ends.inputs[1])
-    after = replace(after, flow=tried.ends.flow[1])
+    step, length, ends = tried.step, tried.weights.length, tried.ends
+    after = replace(now, time=end, state=step.state, inputs=ends.inputs[1], flow=ends.flow[1])
     if step.cuts:
         return replace(after, slope=np.zeros_like(now.slope), length=0.0)
     if edge:

@@ -468,6 +468,23 @@ def _extrapolate(work: Work, course: Course) -> None:
 
 
 @compiled_part
+def _bend(work: Work, course: Course) -> int:
+    """Add the extrapolated part of gap and slip at a time within the step; the next stage."""
+    part, gap, begun = _part(work), course.gap[AFTER], course.slip[BEFORE]
+    guess, origin, further = work.gap[GUESS], work.slip[ORIGIN], False
+    grown = ((course.clock[ASKED] - course.clock[START]) / course.clock[LENGTH]) ** 2
+    for k in range(guess.size):
+        guess.flat[k] = part.gap.flat[k] + grown * (gap.flat[k] - work.gap[ONCE].flat[k])
+    for e in range(begun.shape[1]):
+        slides = part.slip[0, e] != begun[0, e] or part.slip[1, e] != begun[1, e]
+        for i in range(2):
+            origin[i, e] = part.slip[i, e] + (grown * work.slip[BENT, i, e] if slides else 0.0)
+        _trace_back(course, part.gap, guess, origin, slides, e)
+        further = further or slides
+    return BENT_MOMENT if further else DONE
+
+
+@compiled_part
 def _conclude(work: Work, course: Course, stage: int) -> int:
     """Store the equilibrium of the part; return the next stage."""
     part, remainder, moved = _part(work), work.remainder, work.displacement
@@ -504,23 +521,7 @@ def _conclude(work: Work, course: Course, stage: int) -> int:
         for k in range(gap.size):
             course.change[AFTER].flat[k] = gap.flat[k] - before.flat[k]
         return DONE
-    if stage == MOMENT:
-        begun, guess, origin = course.slip[BEFORE], work.gap[GUESS], work.slip[ORIGIN]
-        grown = ((course.clock[ASKED] - course.clock[START]) / course.clock[LENGTH]) ** 2
-        further = False
-        for k in range(guess.size):
-            added = gap.flat[k] - work.gap[ONCE].flat[k]
-            guess.flat[k] = part.gap.flat[k] + grown * added
-        for e in range(begun.shape[1]):
-            slides = part.slip[0, e] != begun[0, e] or part.slip[1, e] != begun[1, e]
-            for i in range(2):
-                added = grown * work.slip[BENT, i, e] if slides else 0.0
-                origin[i, e] = part.slip[i, e] + added
-            _trace_back(course, part.gap, guess, origin, slides, e)
-            further = further or slides
-        if further:
-            return BENT_MOMENT
-    return DONE
+    return _bend(work, course) if stage == MOMENT else DONE
 
 
 @compiled_part
