@@ -86,31 +86,27 @@ class Track:
         )
 
 
+#: Names of its arrays.
+_ARRAYS = tuple(one.name for one in fields(Track) if one.name != "model")
+
+
 def track_of(step: Step) -> Track:
     """Return a track of one step."""
-    own = {name: np.asarray(value)[None] for name, value in vars(step).items() if name != "state"}
-    state = {
-        name: value for name, value in vars(step.state).items() if name not in ("model", "course")
-    }
-    return Track(
-        **own,
-        **{name: np.asarray(value)[None] for name, value in state.items()},
-        model=step.state.model,
-    )
+    values = vars(step) | vars(step.state)
+    arrays = {name: np.asarray(values[name])[None] for name in _ARRAYS}
+    return Track(**arrays, model=step.state.model)
 
 
 def first_of(track: Track, count: int) -> Track:
     """Return the first steps of a track."""
     if count == len(track):
         return track
-    names = [one.name for one in fields(Track) if one.name != "model"]
-    return replace(track, **{name: getattr(track, name)[:count] for name in names})
+    return replace(track, **{name: getattr(track, name)[:count] for name in _ARRAYS})
 
 
 def joined(tracks: Sequence[Track]) -> Track:
     """Return consecutive tracks as one."""
-    names = [field.name for field in fields(Track) if field.name != "model"]
-    arrays = {name: np.concatenate([getattr(track, name) for track in tracks]) for name in names}
+    arrays = {name: np.concatenate([getattr(track, name) for track in tracks]) for name in _ARRAYS}
     return Track(**arrays, model=tracks[0].model)
 
 
