@@ -180,8 +180,8 @@ def _jacobian(pads: Pads, here: Here, ends: tuple[int, int], columns: NDArray[np
 
 
 @compiled_part
-def _guess(places: Array, found: Survey, at: int, into: Array) -> bool:
-    """Extrapolate gaps from earlier places into (h,); return False if there are none."""
+def _guess(places: Array, found: Survey, at: int, into: Array) -> None:
+    """Extrapolate gaps from earlier places, if there are any, into (h,)."""
     first, least = -1, math.inf
     for other in range(max(0, at - BACK), at):
         if math.isnan(found.residual[other]):
@@ -192,7 +192,7 @@ def _guess(places: Array, found: Survey, at: int, into: Array) -> bool:
         if away <= least:
             first, least = other, away
     if first < 0:
-        return False
+        return
     second, nearest = -1, 0.01 * least
     for other in range(max(0, at - BACK), at):
         if math.isnan(found.residual[other]):
@@ -206,7 +206,6 @@ def _guess(places: Array, found: Survey, at: int, into: Array) -> bool:
         into[i] = found.gap[first, i]
         if second >= 0:
             into[i] += found.gap[first, i] - found.gap[second, i]
-    return True
 
 
 class Here(NamedTuple):
