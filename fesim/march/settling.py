@@ -24,17 +24,14 @@ class JointState(Protocol):
     @property
     def gap(self) -> Array:
         """Gaps."""
-        ...
 
     @property
     def slip(self) -> Array:
         """History of friction."""
-        ...
 
     @property
     def change(self) -> Array:
         """Change of the gaps in the last step."""
-        ...
 
 
 class Rest(NamedTuple):
@@ -107,8 +104,7 @@ def _at_zero(machine: CondensedMachine, inputs: Array) -> tuple[State, Array | N
     temperature = ambient if start is None else start.temperature(inputs)
     opened = None
     if tight is not None or contact.loads is not None or start is not None:
-        grown = contact.elastic.thermal_gap @ machine.strained(temperature)
-        opened = loaded_gap(machine, grown, inputs)
+        opened = loaded_gap(machine, machine.strained(temperature), inputs)
     bolted = None
     if tight is not None:
         bolted = Rest(tight.gap, tight.slip, tight.pressure, np.zeros((3, count)))
@@ -197,8 +193,9 @@ def undriven(machine: CondensedMachine) -> Array:
     return np.concatenate([np.zeros(machine.thermal.inputs.shape[1]), factors])
 
 
-def loaded_gap(machine: CondensedMachine, thermal_gap: Array, inputs: Array) -> Array:
-    """Return the gap due to heat and loads, (3 m,), m."""
+def loaded_gap(machine: CondensedMachine, strained: Array, inputs: Array) -> Array:
+    """Return the gap due to heat and loads, (3 m,), m; arguments as for `displaced`."""
+    thermal_gap: Array = machine.contact.elastic.thermal_gap @ strained
     if machine.contact.loads is None:
         return thermal_gap
     return thermal_gap + machine.contact.loads.gap @ load_factors(machine, inputs)

@@ -86,8 +86,8 @@ def settled_at(
     machine: CondensedMachine, state: State, unknowns: Array, inputs: Array
 ) -> tuple[Equilibrium, int]:
     """Settle the joints at given temperatures and loads; arguments and result as `settle_along`."""
-    grown = machine.contact.elastic.thermal_gap @ machine.strained(unknowns)
-    return settle_along(machine.contact, state, loaded_gap(machine, grown, inputs))
+    opened = loaded_gap(machine, machine.strained(unknowns), inputs)
+    return settle_along(machine.contact, state, opened)
 
 
 def _halves(

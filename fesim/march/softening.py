@@ -17,6 +17,7 @@ from thermojoint.artefacts.errors import ConvergenceError
 
 #: Largest change of a displacement in the last iteration, relative to the largest displacement.
 TOLERANCE = 1e-9
+#: Largest number of iterations.
 MOST = 200
 
 
@@ -40,9 +41,7 @@ class Lift(NamedTuple):
     moved: Array
 
 
-def lifted(
-    stiffness: VariableStiffness, acting: Acting, settle: Callable[[Array], Array], most: int = MOST
-) -> Lift:
+def lifted(stiffness: VariableStiffness, acting: Acting, settle: Callable[[Array], Array]) -> Lift:
     """Find the displacement added by a changed modulus, in equilibrium with the joints.
 
     Parameters
@@ -53,8 +52,6 @@ def lifted(
         Temperatures and loads.
     settle : callable
         From the added gap (3 m,), m, to the resulting z + k g of the joints (3 m,), Pa.
-    most : int
-        Largest number of iterations.
 
     Raises
     ------
@@ -68,7 +65,7 @@ def lifted(
     at = np.zeros(len(load))
     guesses: list[Array] = []
     changes: list[Array] = []
-    for _ in range(most):
+    for _ in range(MOST):
         pressed = load
         if len(field.area):
             pressed = load + field.gap.T @ (field.area * settle(field.gap @ at))

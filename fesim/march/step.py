@@ -93,7 +93,7 @@ def _step_heated(
     loads = HeatLoads(thermal, joint, given)
     heat = _conducted(machine, state.temperature, loads)
     strained = machine.strained(heat.temperature)
-    thermal_gap = loaded_gap(machine, elastic.thermal_gap @ strained, inputs)
+    thermal_gap = loaded_gap(machine, strained, inputs)
     added = None
     if machine.stiffness is not None:
         without = thermal_gap
