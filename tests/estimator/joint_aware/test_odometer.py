@@ -139,6 +139,7 @@ def test_a_search_in_longer_steps_has_the_way_too(moved):
     assert joined[-1] == pytest.approx(fine[-1], rel=0.02)
 
 
+@pytest.mark.filterwarnings("ignore:log. no ambient_degC")
 def test_a_run_of_a_log_has_the_way_that_the_control_counts(moved, tmp_path):
     _, response = moved
     case = moving(tmp_path, COURSE).replace(axes={"y": {"odometer": True}})
