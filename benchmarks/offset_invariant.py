@@ -549,6 +549,9 @@ class Offsets(RuleBasedStateMachine):
         for one in self.model.layout.lines if handshake is not None else ():
             last, at = self.control.get(one.axis, (Line(), -math.inf))
             self.control[one.axis] = last._replace(reference=one.reference), at
+            if one.reference != last.reference:
+                # Set while its machine stands: it takes no offset until the handshake stands.
+                self.away, self.seen = True, False
         self.start()
 
 
