@@ -151,7 +151,7 @@ def _from_first(moved: Array, heat: Array, where: str) -> Array:
     read = np.flatnonzero(np.isfinite(moved))
     if read.size < LEAST_READ:
         raise InputError(
-            f"{where}: {read.size} readings beside all others; a run needs {LEAST_READ}"
+            f"{where}: {read.size} readings in rows with all others; a run needs {LEAST_READ}"
         )
     if heat[1 : read[0] + 1].any():
         warnings.warn(

@@ -172,7 +172,7 @@ def test_a_probe_may_read_one_axis_after_the_other_and_seldom(case, response, tm
 def test_a_displacement_that_is_hardly_read_is_refused_by_its_name(case, response, tmp_path):
     path = probed(log_of(response, tmp_path / "log.csv"), range(0, 10_000, 5), [0, 60])
     with pytest.raises(
-        InputError, match="run 1: y_um: 2 readings beside all others; a run needs 3"
+        InputError, match="run 1: y_um: 2 readings in rows with all others; a run needs 3"
     ):
         runs_of(read_log([path]), case_from_data(case, "case", Path()), ["x_um", "y_um"])
 
