@@ -195,8 +195,6 @@ class Problem:
     rates: Array
     #: Shape (n, s q): relaxations of the heat at the samples of all runs.
     states: Array
-    #: Shape (n, axes): whether a displacement was read in a sample.
-    read: Flags
     #: Shape (axes, n, s q): the relaxations as a fit has them at readings of the displacement.
     seen: Array
     #: Shape (s q,): 1 where a gain is fitted, 0 where the runs are too short for it.
@@ -209,6 +207,11 @@ class Problem:
     trust: Array
     #: Factor on all of them, prior sizes of the discrepancy included (`doubt_of`).
     doubt: float = 1.0
+
+    @property
+    def read(self) -> Flags:
+        """Whether a displacement was read in a sample, (n, axes)."""
+        return np.vstack([run.read for run in self.runs])
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,7 +273,6 @@ def make_problem(machine: ReducedMachine, runs: Sequence[Run]) -> Problem:
         runs,
         rates,
         states,
-        np.vstack([run.read for run in runs]),
         seen,
         shape,
         tuple(Channel(make_ridge(constant, with_offset(tau)), tau) for tau in sensed),
