@@ -13,6 +13,7 @@ from played_agent import NONE, Agent
 from warming_machine import started
 
 from thermojoint.artefacts.errors import InputError
+from thermojoint.live import reconnecting
 from thermojoint.live.archive import Archive
 from thermojoint.live.arrivals import Arrival, Note
 from thermojoint.live.certificates import own_identity
@@ -38,7 +39,7 @@ MAPPING = ItemMapping("mill", ("T1_degC", "x_um"), ("T1_degC", "x_um"), 1, 1.0)
 
 @pytest.fixture(autouse=True)
 def _soon(monkeypatch):
-    monkeypatch.setattr(mtconnect, "FIRST_S", 0.02)
+    monkeypatch.setattr(reconnecting, "FIRST_S", 0.02)
 
 
 def day(count=120):

@@ -24,7 +24,7 @@ import aiomqtt
 from thermojoint.live.arrivals import Arrival, Note
 from thermojoint.live.mqtt_session import Address, acknowledge, address_of, connected, lost
 from thermojoint.live.readers.session import background_session
-from thermojoint.live.reconnecting import FIRST_S, next_delay
+from thermojoint.live.reconnecting import Attempts
 from thermojoint.live.settings import MqttSource
 from thermojoint.live.times import seconds_of
 
@@ -72,8 +72,8 @@ class MqttReader:
                     yield [self._queue.popleft() for _ in range(count)]
 
     async def _stay_connected(self) -> None:
-        delay, where = FIRST_S, f"{self.address.host}:{self.address.port}"
-        while True:
+        where = f"{self.address.host}:{self.address.port}"
+        async for attempt in Attempts():
             client: list[aiomqtt.Client] = []
             try:
                 async with connected(
@@ -82,12 +82,10 @@ class MqttReader:
                     client.append(session)
                     await session.subscribe(self.topics.filter, qos=1)
                     self._enqueue(Note("connected", f"MQTT broker {where}"))
-                    delay = FIRST_S
+                    attempt.succeeded()
                     await lost(session)
             except aiomqtt.MqttError as error:
                 self._enqueue(Note("disconnected", f"MQTT broker {where}: {error}"))
-            await asyncio.sleep(delay)
-            delay = next_delay(delay)
 
     def _receive(self, client: Sequence[aiomqtt.Client], message: Any) -> None:  # noqa: ANN401
         """Queue one message; called by the client."""

@@ -47,7 +47,7 @@ from thermojoint.live.mtconnect_documents import (
     converted,
     document_of,
 )
-from thermojoint.live.reconnecting import FIRST_S, next_delay, shown
+from thermojoint.live.reconnecting import Attempts, shown
 from thermojoint.live.settings import MtconnectSource
 
 #: Number of arrivals that are passed on at once.
@@ -128,20 +128,17 @@ class MtconnectReader:
             for machine, mapping in self.mappings.items()
             if (found := held_of(positions.get(machine), mapping))
         }
-        delay = FIRST_S
-        while True:
+        async for attempt in Attempts():
             try:
                 async with aclosing(self._connected(held)) as blocks:
                     async for block in blocks:
-                        delay = FIRST_S
+                        attempt.succeeded()
                         yield block
             except OverrunError as error:
                 held = {machine: one._replace(instance=-1) for machine, one in held.items()}
                 yield [Note("overrun", f"MTConnect {self.url}: {error}; read on from now")]
             except LOST as error:
                 yield [Note("disconnected", f"MTConnect {self.url}: {shown(error)}")]
-            await asyncio.sleep(delay)
-            delay = next_delay(delay)
 
     async def _connected(self, held: dict[str, Held]) -> AsyncGenerator[list[Arrival | Note], None]:
         """Yield the readings of one connection; `held` is updated."""

@@ -23,7 +23,7 @@ from thermojoint.live.arrivals import ABSENT, Arrival, Note
 from thermojoint.live.loaded_models import LoadedModel
 from thermojoint.live.opcua_session import LOST, TIMEOUT_S, Endpoint, client_of, endpoint_of
 from thermojoint.live.readers.session import background_session
-from thermojoint.live.reconnecting import FIRST_S, next_delay, shown
+from thermojoint.live.reconnecting import Attempts, shown
 from thermojoint.live.settings import OpcuaSource, Service
 from thermojoint.live.times import since_1970
 
@@ -85,17 +85,13 @@ class OpcuaReader:
                     yield arrivals[k : k + _AT_ONCE]
 
     async def _stay_connected(self) -> None:
-        delay = FIRST_S
-        while True:
+        async for attempt in Attempts():
             try:
-                client = await client_of(self.endpoint)
-                async with client:
-                    delay = FIRST_S
+                async with await client_of(self.endpoint) as client:
+                    attempt.succeeded()
                     await self._listen(client)
             except LOST as error:
                 self._enqueue(Note("disconnected", f"OPC UA {self.endpoint.url}: {shown(error)}"))
-            await asyncio.sleep(delay)
-            delay = next_delay(delay)
 
     async def _listen(self, client: Client) -> None:
         """Subscribe, read the missed values, and wait until server or subscription has ended."""

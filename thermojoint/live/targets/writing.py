@@ -25,7 +25,7 @@ from thermojoint.live.loaded_models import LoadedModel
 from thermojoint.live.opcua_session import LOST, TIMEOUT_S, Endpoint, client_of, endpoint_of
 from thermojoint.live.processing import Fleet, receive_answer
 from thermojoint.live.publisher import Publisher
-from thermojoint.live.reconnecting import FIRST_S, next_delay
+from thermojoint.live.reconnecting import Attempts
 from thermojoint.live.settings import Service
 from thermojoint.live.targets.control import in_units, next_value
 from thermojoint.live.targets.settings import TargetFile, Write, read_target, writes_of
@@ -74,12 +74,11 @@ class TargetWriter:
 
     async def run(self) -> None:
         """Write until cancelled; reconnect whenever the connection is lost."""
-        delay = FIRST_S
-        while True:
+        async for attempt in Attempts():
             try:
                 async with await client_of(self.endpoint) as client:
                     await self._check(client)
-                    delay = FIRST_S
+                    attempt.succeeded()
                     self._log("connected", f"target {self.given.url}")
                     await self._write_offsets(client)
             except InputError as error:
@@ -87,8 +86,6 @@ class TargetWriter:
             except LOST as error:
                 text = str(error) or type(error).__name__
                 self._log("disconnected", f"target {self.given.url}: {text}")
-            await asyncio.sleep(delay)
-            delay = next_delay(delay)
 
     async def _check(self, client: Client) -> None:
         """Refuse a control with another compensation, to overwrite no values of somebody else."""

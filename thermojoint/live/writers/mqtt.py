@@ -18,7 +18,7 @@ from thermojoint.live.mqtt_session import Address, connected, is_behind, lost, p
 from thermojoint.live.processing import Fleet
 from thermojoint.live.publication import as_json
 from thermojoint.live.publisher import Publisher
-from thermojoint.live.reconnecting import FIRST_S, next_delay
+from thermojoint.live.reconnecting import Attempts
 from thermojoint.live.settings import MqttTopics
 from thermojoint.live.writers.mqtt_control import publish_heartbeat, receive_answers
 
@@ -38,30 +38,19 @@ async def write_topics(
 ) -> None:
     """Publish new samples of every machine until cancelled; the newest of each is retained.
 
-    Parameters
-    ----------
-    publisher : Publisher
-    address : Address
-        Address of the broker.
-    topics : MqttTopics
-        Settings.
-    fleet : Fleet
-        The machines; connections are noted in its log.
-    controls : collection of str
-        The machines whose controls answer by MQTT.
-    audit : Audit
-        Records their answers, without users: a broker does not identify the publisher.
+    The machines `controls` have controls that answer by MQTT. `audit` records these answers,
+    without users: a broker does not identify the publisher.
     """
     log, status_topic = fleet.log, topics.status_topic
-    delay, where = FIRST_S, f"{address.host}:{address.port}"
+    where = f"{address.host}:{address.port}"
     record = partial(audit.written, "mqtt", f"mqtt {where}")
     will = aiomqtt.Will(status_topic, _status("gone"), qos=1, retain=True)
-    while True:
+    async for attempt in Attempts():
         try:
             async with connected(address, "writes", will=will) as client:
                 log.say(time.time(), "connected", f"MQTT broker {where}, to publish")
                 await client.publish(status_topic, _status("running"), qos=1, retain=True)
-                delay = FIRST_S
+                attempt.succeeded()
                 watch = asyncio.create_task(
                     _first_to_end(
                         lost(client),
@@ -76,8 +65,6 @@ async def write_topics(
                     await _publish_stopped(client, status_topic)
         except aiomqtt.MqttError as error:
             log.say(time.time(), "disconnected", f"MQTT broker {where}, to publish: {error}")
-        await asyncio.sleep(delay)
-        delay = next_delay(delay)
 
 
 async def _publish(
