@@ -13,7 +13,9 @@ from collections.abc import Iterator
 from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
+
+from pydantic import TypeAdapter
 
 from thermojoint.artefacts.errors import InputError, unknown_name
 from thermojoint.artefacts.files import whole_file, write_text
@@ -53,6 +55,9 @@ class Record(NamedTuple):
     pins: dict[str, Pin]
 
 
+_RECORD = TypeAdapter(Record)
+
+
 def fingerprint_of(path: Path) -> str:
     """Return the SHA-256 of a file.
 
@@ -79,15 +84,9 @@ def read_record(folder: Path) -> Record:
     if not path.exists():
         return Record({}, {})
     try:
-        content: dict[str, Any] = json.loads(path.read_text("utf-8"))
-        deployments = {
-            name: [Deployment(*one) for one in each]
-            for name, each in content["deployments"].items()
-        }
-        pins = {name: Pin(*one) for name, one in content["pins"].items()}
-    except (ValueError, KeyError, TypeError, OSError) as error:
+        return _RECORD.validate_json(path.read_bytes())
+    except (ValueError, OSError) as error:
         raise InputError(f"{path}: damaged; remove it to forget former models") from error
-    return Record(deployments, pins)
 
 
 def pinned(service: Service) -> Service:

@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from estimator.interface import Estimate, Status
 from estimator.lines import Lines, lines_of
@@ -56,6 +57,10 @@ class Times(NamedTuple):
     #: The service's own monotonic clock, s. Offsets move by this clock, independently of the times
     #: of the readings: their rate is limited in the time in which the control receives them.
     clock: float
+
+
+#: From the JSON of `rest_of`.
+ASSEMBLY = TypeAdapter(AssemblyState)
 
 
 class MachineState(NamedTuple):
@@ -417,7 +422,7 @@ def restore_state(
     state = state._replace(
         output=output,
         handshake=handshake,
-        assembly=_assembly_from(rest["waiting"]) if "waiting" in rest else AssemblyState(),
+        assembly=ASSEMBLY.validate_python(rest.get("waiting", ())),
         request=ReadingRequest(*rest.get("asked", ())) if model.request_limits else NO_REQUEST,
     )
     latest = replace(state.latest, request=state.request, **_control_values(model, state))
@@ -451,19 +456,6 @@ def _with_layout(last: Publication, layout: Layout) -> Publication:
         return last
     offsets, slopes = np.zeros(len(layout.controls)), np.zeros(len(layout.lines))
     return replace(last, layout=layout, offsets=offsets, slopes=slopes)
-
-
-def _assembly_from(content: list[Any]) -> AssemblyState:
-    before, newest, open_samples, held, phase, last_occasional, unconfirmed = content
-    return AssemblyState(
-        before,
-        newest,
-        tuple((instant, tuple(values)) for instant, values in open_samples),
-        tuple((since, value) for since, value in held),
-        phase,
-        last_occasional,
-        None if unconfirmed is None else (unconfirmed[0], tuple(unconfirmed[1])),
-    )
 
 
 def _restore_output(

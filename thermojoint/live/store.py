@@ -25,12 +25,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from pydantic import TypeAdapter
 
-from estimator.interface import Channel
 from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.live.disk_reserve import RESERVE, is_full, limit_writes
-from thermojoint.live.publication import AxisLine, Layout
+from thermojoint.live.publication import Layout
 
 SCHEMA_VERSION = 2
 #: File locked by the service that uses a folder; it contains the number of its process.
@@ -43,6 +43,7 @@ _BUSY_TIMEOUT_S = 10.0
 _LARGEST_WAL = 64_000_000
 #: Number of entries of the journal, and of chunks of a past era, deleted at once.
 MOST_PRUNED, _MOST_CHUNKS = 5_000, 50
+_LAYOUT = TypeAdapter(Layout)
 _ADD_SAMPLE = "INSERT INTO journal (era, number, row, status, rest) VALUES (?, ?, ?, ?, ?)"
 #: A state that waited for a new store does not replace a newer one.
 _PUT_STATE = (
@@ -529,11 +530,4 @@ def layout_text(layout: Layout) -> str:
 
 def layout_from(text: str) -> Layout:
     """Return the layout from the JSON of `layout_text`."""
-    content = json.loads(text)
-    return Layout(
-        axes=tuple(content["axes"]),
-        controls=tuple(content["controls"]),
-        details=tuple(Channel(*channel) for channel in content["details"]),
-        readings=tuple(content["readings"]),
-        lines=tuple(AxisLine(*line) for line in content["lines"]),
-    )
+    return _LAYOUT.validate_python(json.loads(text))

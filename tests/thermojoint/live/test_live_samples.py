@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from thermojoint.live.machine_state import _assembly_from
+from thermojoint.live.machine_state import ASSEMBLY
 from thermojoint.live.samples import AssemblyRule, AssemblyState, assemble
 
 PLAIN = AssemblyRule(interval=1.0, lateness=0.0, hold=0.0, wanted=2)
@@ -53,10 +53,10 @@ def test_one_reading_from_the_future_shuts_nobody_out_and_two_are_believed():
             state, samples = step.state, samples + [at for at, _ in step.samples]
             assert (step.unconfirmed == 155.0) == (k == 4)
     assert samples == [100.0 + k for k in range(8)]
-    assert _assembly_from(json.loads(json.dumps(state))) == state
+    assert ASSEMBLY.validate_python(json.loads(json.dumps(state))) == state
     for time in (155.0, 156.0):
         step = assemble(PLAIN, state, time, (1.0, 2.0), (108.0, 168.0))
-        assert _assembly_from(json.loads(json.dumps(step.state))) == step.state
+        assert ASSEMBLY.validate_python(json.loads(json.dumps(step.state))) == step.state
         state = step.state
     assert [at for at, _ in step.samples] == [155.0, 156.0]
 
@@ -145,7 +145,7 @@ def test_a_stream_that_is_interrupted_leads_to_the_same_samples(rule, told, cut)
     """What waits goes through the store and back in between."""
     _, whole, _ = run(rule, told)
     state, first, _ = run(rule, told[:cut])
-    _, second, _ = run(rule, told[cut:], _assembly_from(json.loads(json.dumps(state))))
+    _, second, _ = run(rule, told[cut:], ASSEMBLY.validate_python(json.loads(json.dumps(state))))
     np.testing.assert_equal(first + second, whole)
 
 
