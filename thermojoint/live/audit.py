@@ -45,16 +45,8 @@ class Audit:
     def accepted(self, who: str, origin: str, what: str, machine: str | None = None) -> None:
         """Write an accepted action.
 
-        Parameters
-        ----------
-        who : str
-            Name of the user or the token; ``service`` or ``command`` for actions not requested by
-            an interface.
-        origin : str
-            Interface and address, e.g. ``http 192.0.2.7``.
-        what : str
-            Action.
-        machine : str, optional
+        `who` is the name of a user or a token; ``service`` or ``command`` for actions not requested
+        by an interface. `origin` is the interface and the address, e.g. ``http 192.0.2.7``.
 
         Raises
         ------

@@ -55,14 +55,7 @@ class Named(NamedTuple):
 
 
 def back_up(file: Path, out: Path) -> list[str]:
-    """Write a backup of a service, which may be running.
-
-    Parameters
-    ----------
-    file : Path
-        File of the service (TOML).
-    out : Path
-        The backup; replaced whole.
+    """Write a backup of the service of a file, which may be running; `out` is replaced whole.
 
     Returns
     -------

@@ -81,12 +81,8 @@ def _findings(service: Service, folder: Path) -> Findings:
 def used_by_others(service: Service, present: Service | None = None) -> list[str]:
     """Return the folder if another service runs on it, and addresses in use by other programs.
 
-    Parameters
-    ----------
-    service : Service
-        To be started; if it runs already, nothing is returned.
-    present : Service, optional
-        A running service that is to be replaced, whose folder and ports are its own.
+    Nothing is returned if the service runs already. It may replace a service that is `present`,
+    whose folder and ports are its own.
     """
     if present is None and is_locked(service.folder):
         return []

@@ -75,14 +75,8 @@ def close(store: sqlite3.Connection, path: Path) -> None:
 def adjust_reserve(store: sqlite3.Connection, path: Path, wanted: float) -> DiskSpace:
     """Adjust the reserve of a store by one slice towards the wanted size; return the space.
 
-    Parameters
-    ----------
-    store : Connection
-        The only connection that writes.
-    path : Path
-        Its file.
-    wanted : float
-        Wanted size of the reserve, bytes; at most half of the free space of the disk is used.
+    The size is in bytes; at most half of the free space of the disk is used. No other connection
+    writes.
 
     Raises
     ------

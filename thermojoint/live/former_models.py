@@ -123,12 +123,7 @@ def fingerprints(service: Service) -> dict[str, str]:
 def record_deployments(service: Service, now: float) -> Iterator[tuple[str, str]]:
     """Record the models that the machines run with; yield each machine whose model has changed.
 
-    Parameters
-    ----------
-    service : Service
-        After `pinned`.
-    now : float
-        Present time, s since 1970.
+    The service is one after `pinned`; `now` is the present time, s since 1970.
 
     Yields
     ------
@@ -173,13 +168,8 @@ def former_of(record: Record, folder: Path, machine: str) -> Deployment | None:
 def roll_back(service: Service, machine: str, to: str | None = None) -> Deployment:
     """Pin a machine to a former model; effective at the next start or reload of the service.
 
-    Parameters
-    ----------
-    service : Service
-        Service as defined by its file.
-    machine : str
-    to : str, optional
-        Beginning of the fingerprint; default: the last model before the present one.
+    `to` is the beginning of its fingerprint; by default it is the last model before the present
+    one.
 
     Raises
     ------

@@ -79,13 +79,8 @@ def address_of(url: str, authority: Path | None, where: str) -> Address:
 async def requested(address: Address, target: str, silence: float) -> AsyncIterator[Response]:
     """Give the response to a GET; the connection is closed at the end.
 
-    Parameters
-    ----------
-    address : Address
-    target : str
-        Path and query, appended to the path of the address.
-    silence : float
-        Longest silence of the server, s.
+    `target` is path and query, appended to the path of the address; `silence` is the longest
+    silence of the server, s.
     """
     async with asyncio.timeout(TIMEOUT_S):
         reader, writer = await asyncio.open_connection(

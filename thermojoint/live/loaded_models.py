@@ -75,14 +75,9 @@ def load_models(service: Service) -> tuple[dict[str, LoadedModel], dict[str, The
 
 
 def load_model(section: ModelSection, folder: Path) -> LoadedModel:
-    """Open one model.
+    """Open the model of a section.
 
-    Parameters
-    ----------
-    section : ModelSection
-        Its section of the service's file.
-    folder : Path
-        Folder of the assembled coefficients, with which a restarted service continues.
+    `folder` is for assembled coefficients, with which a restarted service continues.
 
     Raises
     ------

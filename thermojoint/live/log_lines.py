@@ -26,17 +26,7 @@ class EventLog:
     limit: LineLimit = field(default_factory=LineLimit)
 
     def say(self, time: float, kind: str, text: str, machine: str | None = None) -> None:
-        """Log an event, unless too many of its kind were logged recently.
-
-        Parameters
-        ----------
-        time : float
-            Time, s since 1970.
-        kind, text : str
-            Kind and description of the event.
-        machine : str, optional
-            Machine concerned.
-        """
+        """Log an event at a time (s since 1970), unless too many of its kind were logged before."""
         before = self.limit.left_out((machine, kind), time)
         if before is not None:
             text = one_line(text, before)

@@ -380,20 +380,8 @@ def restore_state(
     """Return a machine restored to its last stored sample, and the read position of its source.
 
     Samples since the last checkpoint run through the estimator again. The offsets continue from the
-    values received last by the control, even under another model or other settings.
-
-    Parameters
-    ----------
-    name : str
-    model : LoadedModel
-    stored : StoredEra
-        Its stored data, possibly with other axes of the control.
-    last : Publication or None
-        The sample of the checkpoint.
-    received : ReceivedOffsets or None
-        The values received last by the control.
-    times : Times
-        Present time.
+    values received last by the control, even under another model or other settings. `stored` may
+    have other axes of the control; `last` is the sample of the checkpoint.
 
     Raises
     ------

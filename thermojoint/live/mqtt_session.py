@@ -75,18 +75,10 @@ async def connected(
     will: aiomqtt.Will | None = None,
     on_message: Callable[[Any], None] | None = None,
 ) -> AsyncIterator[aiomqtt.Client]:
-    """Give a connected client.
+    """Give a connected client, whose name ends in a suffix: a reader and a writer are two clients.
 
-    Parameters
-    ----------
-    address : Address
-    suffix : str
-        Suffix of the client's name: a reader and a writer are two clients.
-    will : Will, optional
-        Message that the broker sends if the connection breaks.
-    on_message : callable, optional
-        Called with each message, which it acknowledges by `acknowledge`. The broker keeps the
-        session.
+    The broker sends `will` if the connection breaks. `on_message` is called with each message,
+    which it acknowledges by `acknowledge`; the broker then keeps the session.
     """
     client = aiomqtt.Client(
         address.host,

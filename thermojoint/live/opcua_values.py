@@ -111,14 +111,8 @@ def _utc(seconds: float) -> datetime | None:
 def variables_of(layout: Layout, readings: bool, wanted: int) -> Iterator[Variable]:
     """Yield the variables of a machine.
 
-    Parameters
-    ----------
-    layout : Layout
-        Names of its published values.
-    readings : bool
-        Also yield variables of the readings.
-    wanted : int
-        Number of readings, the first ones, in every sample; further ones are written by operators.
+    The first `wanted` readings are in every sample, and have variables if `readings` is true;
+    further ones are written by operators.
     """
     double, text = ua.VariantType.Double, ua.VariantType.String
     for k, name in enumerate(layout.axes):

@@ -111,18 +111,9 @@ class Fleet:
 
 
 def process(fleet: Fleet, arrivals: Iterable[Arrival], now: float, clock: float) -> Results:
-    """Run arrivals through their estimators.
+    """Run arrivals, in the order of arrival, through their estimators; the machines are updated.
 
-    Parameters
-    ----------
-    fleet : Fleet
-        Its machines are updated.
-    arrivals : iterable of Arrival
-        In the order of arrival.
-    now : float
-        Present time, s since 1970.
-    clock : float
-        Time of the service's own monotonic clock, s.
+    The present time is `now`, s since 1970, and `clock`, s, on the service's own monotonic clock.
     """
     results = Results()
     for arrival in arrivals:

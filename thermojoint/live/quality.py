@@ -12,15 +12,7 @@ REFUSED = "refused"
 
 
 def quality_at(age: float, uncertain: float, bad: float) -> Quality:
-    """Return the best possible quality of a value at an age.
-
-    Parameters
-    ----------
-    age : float
-        Time since its sample was taken, s.
-    uncertain, bad : float
-        Ages from which the value is uncertain or bad, s.
-    """
+    """Return the best possible quality at an age, by those from which it is uncertain or bad, s."""
     if age >= bad:
         return Quality.BAD
     return Quality.UNCERTAIN if age >= uncertain else Quality.GOOD

@@ -21,11 +21,7 @@ class LineLimit:
     def left_out(self, kind: Hashable, time: float) -> int | None:
         """Return the number of omitted lines of a kind before this one; None: omit it as well.
 
-        Parameters
-        ----------
-        kind : hashable
-        time : float
-            Time by any clock, s.
+        The time, s, is by any clock.
         """
         seen = self._seen(kind)
         # After the clock was set back, counting starts anew.

@@ -31,16 +31,9 @@ class Scene(NamedTuple):
 
 
 def scene_of(path: Path, estimator: Estimator, state: Callable[[], Array]) -> Scene:
-    """Return the scene of one machine.
+    """Return the scene of a joint-aware estimator, whose newest state `state` returns.
 
-    Parameters
-    ----------
-    path : Path
-        Surface of its model, written by 'thermojoint scene'.
-    estimator : Estimator
-        Joint-aware.
-    state : callable
-        Returns the newest state of the estimator.
+    The path is that of the surface of its model, written by 'thermojoint scene'.
 
     Raises
     ------

@@ -54,17 +54,10 @@ async def run(
     ready: Callable[[Running], None] = lambda running: None,
     reload: Callable[[], None] = lambda: None,
 ) -> None:
-    """Serve until `stop` is set, or until every source has ended.
+    """Serve until `stop` is set, from outside, or until every source has ended.
 
-    Parameters
-    ----------
-    service : Service
-    stop : asyncio.Event
-        Set from outside, e.g. by a signal.
-    ready : callable
-        Called when all interfaces are open.
-    reload : callable
-        Called when a user has made a change that needs a restart to take effect.
+    `ready` is called when all interfaces are open; `reload` is called when a user has made a change
+    that needs a restart to take effect.
 
     Raises
     ------

@@ -233,15 +233,10 @@ def lock_owner(folder: Path) -> int | None:
 
 
 def open_store(path: Path, durable: bool = False) -> sqlite3.Connection:
-    """Open the store, or create it.
+    """Open the store, an SQLite file in an existing folder, or create it.
 
-    Parameters
-    ----------
-    path : Path
-        SQLite file; its folder exists.
-    durable : bool
-        Every commit is on the disk before it returns (``synchronous = FULL``). Otherwise a kill
-        loses nothing, but a power cut may lose the last moments.
+    If it is durable, every commit is on the disk before it returns (``synchronous = FULL``).
+    Otherwise a kill loses nothing, but a power cut may lose the last moments.
 
     Raises
     ------
@@ -312,16 +307,7 @@ def identity_of(path: Path) -> tuple[int, ...] | None:
 def era_of(store: sqlite3.Connection, machine: str, model: str, layout: Layout, now: float) -> int:
     """Return the era of a machine: a new one if its model or layout has changed, else the last.
 
-    Parameters
-    ----------
-    store : Connection
-    machine : str
-    model : str
-        Identifies the model.
-    layout : Layout
-        Stored values of each sample.
-    now : float
-        Present time, s since 1970.
+    `model` identifies the model, `layout` names the stored values; `now` is in s since 1970.
     """
     content = layout_text(layout)
     last = store.execute(

@@ -61,18 +61,9 @@ class Surface:
 
 
 def surface_of(case: Case, setup: Setup, model: ObserverModel, up: Array) -> Surface:
-    """Return the surface of the machine of a model.
+    """Return the surface of the machine of a model, with its upward direction `up`, shape (3,).
 
-    Parameters
-    ----------
-    case : Case
-        Case with which the model was calibrated.
-    setup : Setup
-        Setup of this case.
-    model : ObserverModel
-        Joint-aware model.
-    up : ndarray, shape (3,)
-        Upward direction.
+    The case is the one with which the model was calibrated.
 
     Raises
     ------

@@ -39,14 +39,7 @@ def add_token(
 ) -> str:
     """Create a token, and return its secret, which is not stored anywhere.
 
-    Parameters
-    ----------
-    store : Connection
-    name, role : str
-    span : (float, float)
-        Times of creation and expiry, s since 1970.
-    machines : sequence of str
-        Names or patterns.
+    `span` is the times of creation and expiry, s since 1970; `machines` are names or patterns.
 
     Raises
     ------

@@ -177,11 +177,7 @@ class PasswordCheck:
     def principal(self, name: str, password: str, clock: float) -> Principal | None:
         """Return the rights of a user; None if the password is wrong or too many were tried.
 
-        Parameters
-        ----------
-        name, password : str
-        clock : float
-            The service's own clock, s.
+        The time is that of the service's own clock, s.
         """
         user = self.users.get(name)
         stored_hash = user.password if user else f"scrypt${_N}${_R}${_P}${'0' * 32}${'0' * 64}"

@@ -20,11 +20,7 @@ from thermojoint.live.settings import HttpServer
 def hosts_of(section: HttpServer, certificate: Path | None) -> frozenset[str]:
     """Return the names under which browsers and programs reach the service.
 
-    Parameters
-    ----------
-    section : HttpServer
-    certificate : Path or None
-        Names in it are also names of the service; None without TLS.
+    Those in its certificate count as well; without TLS it is None.
     """
     own = ["localhost", "127.0.0.1", "::1", socket.gethostname(), section.address]
     named = [] if certificate is None else names_in(certificate)
@@ -34,12 +30,7 @@ def hosts_of(section: HttpServer, certificate: Path | None) -> frozenset[str]:
 def misdirected(headers: Headers, scope: Scope, hosts: frozenset[str]) -> tuple[int, str] | None:
     """Return status and reason if a request is not meant for this service; None if it is.
 
-    Parameters
-    ----------
-    headers : Headers
-    scope : Scope
-        The address at which the request arrived also counts as a name.
-    hosts : frozenset of str
+    The address at which it arrived also counts as a name.
     """
     own = hosts | {str((scope.get("server") or ("",))[0]).lower()}
     given = headers.get("host", "")

@@ -29,16 +29,7 @@ MOST_CONNECTIONS = 256
 
 
 def make_server(app: Starlette, section: HttpServer, own: Identity | None) -> Server:
-    """Return a server that is ready to start.
-
-    Parameters
-    ----------
-    app : Starlette
-        The application.
-    section : HttpServer
-        Settings.
-    own : Identity or None
-        Certificate; None without TLS.
+    """Return a server that is ready to start; without TLS, `own` is None.
 
     Raises
     ------
@@ -94,18 +85,7 @@ class BoundServer:
 def open_http(
     section: HttpServer, backend: Backend, accounts: Accounts, folder: Path
 ) -> BoundServer:
-    """Read the certificate and bind the address.
-
-    Parameters
-    ----------
-    section : HttpServer
-        Settings.
-    backend : Backend
-        Data shown.
-    accounts : Accounts
-        Users, tokens and sessions.
-    folder : Path
-        Folder of the service's own certificate.
+    """Read the certificate, the service's own one from `folder`, and bind the address.
 
     Raises
     ------

@@ -241,14 +241,8 @@ def _time(value: ua.DataValue) -> float:
 def item_of(machine: str, which: Sequence[int], count: int, value: ua.DataValue) -> Arrival | Note:
     """Return one value as an arrival, or a note of its fault.
 
-    Parameters
-    ----------
-    machine : str
-    which : sequence of int
-        Indices of the readings that the value is.
-    count : int
-        Number of the machine's readings.
-    value : DataValue
+    `which` are the indices of the readings that the value is, of the `count` readings of the
+    machine.
     """
     content = value.Value.Value if value.Value is not None else None
     code = value.StatusCode

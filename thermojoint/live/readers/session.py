@@ -16,13 +16,8 @@ async def background_session(
 ) -> AsyncIterator[Callable[[], Awaitable[None]]]:
     """Run a session in the background; give a function that waits for the next arrival.
 
-    Parameters
-    ----------
-    connection : coroutine
-        Keeps the connection and ends only by an error, which the function raises; cancelled at the
-        end of the context.
-    received : Event
-        Set when something has arrived.
+    The connection ends only by an error, which that function raises; it is cancelled at the end of
+    the context. `received` is set when something has arrived.
     """
     session = asyncio.create_task(connection)
     session.add_done_callback(lambda _: received.set())

@@ -21,15 +21,8 @@ def writes(given: TargetFile, lines: Iterable[str], where: str) -> Iterator[tupl
     """Yield the writes for a control whose values begin at 0, as `COLUMNS`.
 
     Writes are `TargetFile.every_s` apart from the first row on, each towards the values of the
-    latest row, as long as a value changes.
-
-    Parameters
-    ----------
-    given : TargetFile
-    lines : iterable of str
-        Offsets as `thermojoint compensate` writes them (CSV).
-    where : str
-        Name of the offsets in messages.
+    latest row, as long as a value changes. The rows are those of the CSV that `thermojoint
+    compensate` writes, called `where` in messages.
 
     Raises
     ------

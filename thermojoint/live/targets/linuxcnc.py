@@ -34,17 +34,9 @@ def files_for(
 ) -> dict[Path, str]:
     """Return the contents of the files to write, by name.
 
-    Parameters
-    ----------
-    service : Service
-    machine : str
-        Name of the machine.
-    ini : Path
-        The control's ini file.
-    token : Path
-        A token of the service with the role operator, readable by the control's user.
-    url : str or None
-        URL at which the control reaches the service; None: from the file of the service.
+    `ini` is the control's ini file; `token` has a token of the service with the role operator,
+    readable by the control's user. The control reaches the service at `url`; None: at that of the
+    service's file.
 
     Raises
     ------

@@ -75,18 +75,10 @@ class Axis(NamedTuple):
 
 
 def message_of(data: Mapping[str, Any], clock: float, limits: Limits, before: Message) -> Message:
-    """Return the newest message of the service after an event.
+    """Return the newest message of the service after an event at a time (s).
 
     While the handshake is broken it has no offsets, and the time of the last one with offsets.
-
-    Parameters
-    ----------
-    data : mapping
-        Data of the event; without a publication nothing has changed.
-    clock : float
-        Time, s.
-    limits : Limits
-    before : Message
+    Without a publication in the event's data nothing has changed.
 
     Raises
     ------
@@ -121,15 +113,10 @@ def goal_of(state: str, message: Message, letter: str, requested: int) -> int:
 
 
 def stepped(axis: Axis, request: int, goal: int, allowed: int, clock: float) -> Axis:
-    """Return an axis one cycle later.
+    """Return an axis one cycle later, at a time (s).
 
-    Parameters
-    ----------
-    axis : Axis
-    request, goal, allowed : int
-        Request reported by the control, target, and largest step, in counts.
-    clock : float
-        Time, s.
+    `request` is that reported by the control, `goal` the target, `allowed` the largest step, in
+    counts.
     """
     if request != axis.expected and clock - axis.since < ACCEPTED_S:
         return axis
@@ -269,17 +256,7 @@ def linked(hal: Any, axes: tuple[str, ...]) -> Any:  # noqa: ANN401
 
 
 def run(hal: Any, component: Any, service: Connection, limits: Limits, scale: float) -> None:  # noqa: ANN401
-    """Move the axes endlessly.
-
-    Parameters
-    ----------
-    hal : module
-    component : hal.component
-    service : Connection
-    limits : Limits
-    scale : float
-        Length of one count in the units of the control.
-    """
+    """Move the axes endlessly; `scale` is the length of one count in the units of the control."""
     axes: dict[str, Axis] = {}
     clock, away, credit, heartbeat = time.monotonic(), -AWAY_S, 0.0, 0
     while True:

@@ -97,11 +97,8 @@ def writes_of(given: TargetFile, names: Iterable[str]) -> list[Write]:
 def read_target(path: Path, output: OutputSettings | None = None) -> TargetFile:
     """Read the file of a target.
 
-    Parameters
-    ----------
-    path : Path
-    output : OutputSettings, optional
-        The offsets: each needs an axis in the control, and writes that keep up with its rate.
+    Each axis of the offsets `output` needs an axis in the control, and writes that keep up with its
+    rate.
 
     Raises
     ------

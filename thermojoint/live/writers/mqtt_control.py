@@ -31,16 +31,8 @@ async def receive_answers(
 ) -> None:
     """Receive the messages of some machines' controls until the connection is lost.
 
-    Parameters
-    ----------
-    client : aiomqtt.Client
-    pattern : str
-        Pattern of the topics, with ``{machine}`` in place of the name.
-    fleet : Fleet
-    names : collection of str
-        Names of the machines.
-    record : callable
-        Records a message and its machine; an OSError refuses the message.
+    The pattern of the topics has ``{machine}`` in place of the name. `record` is called with each
+    message and its machine; an OSError refuses the message.
     """
     machines = {pattern.replace("{machine}", name): name for name in names}
     for topic in machines:

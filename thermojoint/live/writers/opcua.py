@@ -70,20 +70,10 @@ async def add_machines(
 ) -> dict[str, list[tuple[Variable, Any]]]:
     """Add the objects of all machines; return their variables, in the form of `Nodes.variables`.
 
-    Parameters
-    ----------
-    server : Server
-        Initialised, but not started.
-    publisher : Publisher
-        With a publication of each machine.
-    machines : mapping of str to (Layout, int)
-        By name: layout, and number of readings in every sample.
-    readings : bool
-        Also add variables of the readings.
-    given : callable
-        Called with each written reading.
-    companion : Companion, optional
-        Specification that the machines follow.
+    The server is initialised, but not started; the publisher has a publication of each machine.
+    `machines` maps names to the layout and the number of readings in every sample. Variables of the
+    readings are added if `readings` is true. `given` is called with each written reading. The
+    machines follow the specification `companion`.
     """
     index = await server.register_namespace(NAMESPACE)
     session, space = server.iserver.isession, server.iserver.aspace
@@ -156,14 +146,7 @@ def probe_reading(
 ) -> Arrival | None:
     """Return a written reading; None if the value is not a number.
 
-    Parameters
-    ----------
-    machine : str
-    count, k : int
-        Number of readings of the machine, and index of this one.
-    written : DataValue
-    now : float
-        Present time, s since 1970; used for a value without a time.
+    It is reading `k` of `count` of the machine. Without a time it is of `now`, s since 1970.
     """
     value = written.Value.Value if written.Value else None
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
@@ -277,14 +260,8 @@ async def open_server(
 ) -> tuple[Server, Nodes]:
     """Open the service's OPC UA server.
 
-    Parameters
-    ----------
-    section : OpcuaServer
-    context : ServerContext
-    publisher, machines, given
-        As in `add_machines`.
-    identities : dict of str to Identity
-        Identities of the machines, for a companion specification.
+    Publisher, machines and `given` are those of `add_machines`; `identities` are those of the
+    machines, for a companion specification.
 
     Raises
     ------

@@ -34,13 +34,8 @@ async def add_controls(
 ) -> ua.NodeId:
     """Add the variables that controls write; return the node of the service's heartbeat.
 
-    Parameters
-    ----------
-    server : Server
-        Contains the machines already.
-    controls : mapping of str to Layout
-        Machine to the layout of the values that its control receives.
-    receive : callable
+    The server contains the machines already. `controls` maps a machine to the layout of the values
+    that its control receives.
     """
     index = await server.get_namespace_index(NAMESPACE)
     heartbeat = ua.NodeId("Heartbeat", index)

@@ -22,14 +22,7 @@ _FIRST_YEAR = 1602
 
 
 class ArchiveHistory(HistoryStorageInterface):
-    """Reads the archive; OPC UA never writes to it.
-
-    Parameters
-    ----------
-    archive : Archive
-    variables : mapping of NodeId to (str, Variable)
-        Machine and variable of each node.
-    """
+    """Reads the archive, given machine and variable of each node; OPC UA never writes to it."""
 
     def __init__(
         self, archive: Archive, variables: Mapping[ua.NodeId, tuple[str, Variable]]

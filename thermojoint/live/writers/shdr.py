@@ -80,15 +80,9 @@ def _millimetres(array: Array, k: int) -> str:
 
 
 async def serve_agents(publisher: Publisher, listening: socket.socket, heartbeat: float) -> None:
-    """Serve agents until the task is cancelled.
+    """Serve agents until the task is cancelled; the socket limits the connections.
 
-    Parameters
-    ----------
-    publisher : Publisher
-    listening : socket
-        Limits the connections.
-    heartbeat : float
-        Interval within which an agent must send the next ping, s.
+    An agent must send the next ping within `heartbeat`, s.
     """
     connected: dict[asyncio.Task[None], asyncio.StreamWriter] = {}
 
