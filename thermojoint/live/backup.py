@@ -57,10 +57,7 @@ class Named(NamedTuple):
 def back_up(file: Path, out: Path) -> list[str]:
     """Write a backup of the service of a file, which may be running; `out` is replaced whole.
 
-    Returns
-    -------
-    list of str
-        Omitted secrets: the place of each in the settings, and its path.
+    The result is the omitted secrets: the place of each in the settings, and its path.
 
     Raises
     ------

@@ -123,13 +123,8 @@ def fingerprints(service: Service) -> dict[str, str]:
 def record_deployments(service: Service, now: float) -> Iterator[tuple[str, str]]:
     """Record the models that the machines run with; yield each machine whose model has changed.
 
-    The service is one after `pinned`; `now` is the present time, s since 1970.
-
-    Yields
-    ------
-    machine : str
-    change : str
-        The former and the new model.
+    With it the former and the new model are yielded as text. The service is one after `pinned`;
+    `now` is the present time, s since 1970.
     """
     record, current = read_record(service.folder), fingerprints(service)
     before = json.dumps(record)

@@ -13,10 +13,7 @@ from thermojoint.live.ip_address import family_of
 class LimitedSocket(socket.socket):
     """Listening socket that closes connections beyond a limit at once, before TLS.
 
-    Attributes
-    ----------
-    most, most_of_one : int
-        Largest number of connections, in total and per address.
+    The limits are `most` connections in total, and `most_of_one` per address.
     """
 
     def __init__(self, listening: socket.socket, most: int, most_of_one: int) -> None:

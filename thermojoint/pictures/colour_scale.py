@@ -65,15 +65,9 @@ class ColourScale:
 
 
 def colour_scale(label: str, values: Sequence[Array]) -> ColourScale:
-    """Return the scale that shows all of `values`.
+    """Return the scale that shows all finite `values` of the pictures that share it.
 
-    Parameters
-    ----------
-    label : str
-        Quantity and unit.
-    values : sequence of ndarray
-        Finite values of each picture that shares the scale; the picture with the largest value
-        determines the kind of bands.
+    The picture with the largest value determines the kind of bands.
     """
     every = np.concatenate([np.ravel(part) for part in values])
     low, high = float(every.min()), float(every.max())

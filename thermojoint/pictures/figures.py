@@ -117,14 +117,7 @@ def joints_of(response: xr.Dataset) -> list[str]:
 def places_along(position: Array, joints: Sequence[str]) -> NDArray[np.int64]:
     """Number the contact elements by their place along their joint, from 0, joint after joint.
 
-    This is the direction of the joint's largest extent.
-
-    Parameters
-    ----------
-    position : ndarray, shape (elements, 3)
-        m.
-    joints : sequence of str
-        Joint of every element.
+    `position` has shape (elements, 3), m; `joints` names the joint of every element.
     """
     places, count = np.zeros(len(position), dtype=np.int64), 0
     for joint in dict.fromkeys(joints):
@@ -154,18 +147,10 @@ DEVIATION, NONLINEAR = (1.0, "deviation at {} (K)"), (1e6, "nonlinear displaceme
 def panels_figure(
     times: Array, curves: Mapping[str, Mapping[str, Array]], heat: str, unit: float, label: str
 ) -> Figure:
-    """Figures 8 to 11: curves over time (s), one panel for each sensor or axis.
+    """Figures 8 to 11: curves over time (s, shape (k,)), one panel for each sensor or axis.
 
-    Parameters
-    ----------
-    times : ndarray, shape (k,)
-        s.
-    curves : mapping
-        Sensor or axis to {label: deviation in K or nonlinear displacement in m, shape (k,)}.
-    heat : str
-        The heat input in words (`heat_text`).
-    unit, label
-        `DEVIATION` or `NONLINEAR`.
+    `curves` maps it to {label: deviation in K or nonlinear displacement in m, shape (k,)}; `unit`
+    and `label` are `DEVIATION` or `NONLINEAR`, `heat` is the heat input in words (`heat_text`).
     """
     figure, axes = _figure(len(curves))
     figure.suptitle(heat, fontsize=10)
@@ -181,20 +166,8 @@ def estimates_figure(
 ) -> Figure:
     """Actual and estimated displacement of each axis, and the errors below on their own scale.
 
-    FCHS, the joint-aware estimator, and the best of the others in this case are drawn; more curves
-    would hide each other.
-
-    Parameters
-    ----------
-    times : ndarray, shape (k,)
-        s.
-    errors : mapping
-        Estimator to estimated minus actual displacement, m, shape (k, axes). The actual
-        displacement follows from ``none``, which always estimates zero.
-    axes : sequence of str
-        Names of the axes.
-    case : str
-        Name of the case.
+    `times` has shape (k,), s. `errors` maps each estimator to estimated minus actual displacement,
+    m, shape (k, axes). The actual displacement follows from ``none``, which always estimates zero.
     """
     shown = [name for name in OWN if name in errors]
     others = [name for name in errors if name not in (*OWN, "none")]

@@ -18,18 +18,9 @@ _DISTANCES = np.arange(0.9, 12.0, 0.6)
 
 
 def place_labels(points: Array, sizes: Array, window: Sequence[float]) -> Array:
-    """Return the centre of every label.
+    """Return the centre of every label, of width and height `sizes`, of points; both (n, 2).
 
-    Labels are placed one after the other, each at the nearest free place inside the window.
-
-    Parameters
-    ----------
-    points : ndarray, shape (n, 2)
-        The points, in any unit.
-    sizes : ndarray, shape (n, 2)
-        Width and height of the labels, same unit.
-    window : (left, right, bottom, top)
-        Labels stay inside if there is room.
+    Labels stay inside the window (left, right, bottom, top) if there is room.
 
     Returns
     -------

@@ -48,15 +48,10 @@ def pixel_size(window: Window, height: int) -> tuple[int, int]:
 
 
 def rendered(films: Sequence[Sequence[Scene]], height: int) -> Iterator[list[Pixels] | None]:
-    """Yield the panels of every scene drawn by pyvista, or None if it cannot draw them.
+    """Yield the panels of every `finished` scene drawn by pyvista, or None if it cannot draw them.
 
-    Parameters
-    ----------
-    films : sequence of sequences of Scene
-        `finished` scenes. The scenes of one film show the same surfaces, moved and recoloured, so
-        one plotter per panel suffices.
-    height : int
-        Height of the panels, pixels.
+    The scenes of one film show the same surfaces, moved and recoloured, so one plotter per panel
+    suffices. The panels are `height` pixels high.
 
     Yields
     ------

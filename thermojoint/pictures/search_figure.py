@@ -21,16 +21,8 @@ def search_figure(
 ) -> Figure:
     """Return the picture: the aim over each value, the optimum as a red star.
 
-    Parameters
-    ----------
-    name : str
-        Name of the aim.
-    aims, held : ndarray, shape (cases,)
-        Aim of each case, NaN without a result; whether all limits hold.
-    values : mapping of str to ndarray, shape (cases,)
-        Varied values, by path.
-    found : int
-        Index of the optimum.
+    All arrays have shape (cases,): the aims, NaN without a result; whether all limits hold; the
+    varied values, by path. `found` is the index of the optimum.
     """
     figure = empty_grid(len(values), 1, (7.0, 0.6 + 2.2 * len(values)))
     usable = ~np.isnan(aims)

@@ -77,16 +77,10 @@ def write_pictures(pictures: Mapping[Path, Scene], height: int = HEIGHT) -> dict
 
 
 def sheet(scene: Scene, images: Sequence[Pixels] | None, height: int) -> Sheet:
-    """Lay out a finished scene: panels (painted here without `images`), labels, axes, bars.
+    """Lay out a `finished` scene: panels, labels, axes, bars.
 
-    Parameters
-    ----------
-    scene : Scene
-        See `scenes.finished`.
-    images : sequence of ndarray, optional
-        From `renderer.rendered`.
-    height : int
-        Height of the panels, pixels.
+    The images are those of `renderer.rendered`, `height` pixels high; without them the panels are
+    painted here.
     """
     widths = [_PANEL * pixel_size(panel.frame, height)[0] / height for panel in scene.panels]
     lefts = _GAP + np.concatenate([[0.0], np.cumsum(np.add(widths, _GAP))])

@@ -25,14 +25,8 @@ _SIDE = 1.7
 def fan_figure(minutes: Array, curves: Array, label: str) -> Figure:
     """Return the median, the ranges between quantiles, and the extremes of curves.
 
-    Parameters
-    ----------
-    minutes : ndarray, shape (times,)
-        Time, min.
-    curves : ndarray, shape (cases, times)
-        NaN where a case has no value; between its own times a case is interpolated.
-    label : str
-        Label of the curves, with their unit.
+    `minutes` has shape (times,), `curves` (cases, times): NaN where a case has no value; between
+    its own times a case is interpolated.
     """
     figure = empty_grid(1, 1, (WIDTH, 3.4))
     (axes,) = figure.axes

@@ -31,14 +31,7 @@ _SOLVER = {"gap_residual_m", "heat_balance", "force_balance", "secant_residual_K
 def study_html(study: Study, summary: pd.DataFrame, dataset: xr.Dataset) -> str:
     """Return the page of a batch, without references to other files.
 
-    Parameters
-    ----------
-    study : Study
-        The batch.
-    summary : DataFrame
-        As `fesim.batch.run.Finished.summary`.
-    dataset : Dataset
-        Its ``dataset.zarr``.
+    The summary is that of `fesim.batch.run.Finished`, the dataset its ``dataset.zarr``.
     """
     done = summary[summary["status"] == "done"]
     paths = [path for path in study.paths if _varies(done, path)]
@@ -69,12 +62,8 @@ def figure_rows(
 ) -> list[tuple[str, str, list[float]]]:
     """Return name, meaning and `QUANTILES` of every figure present in some case.
 
-    Parameters
-    ----------
-    done : DataFrame
-        The summary's rows of finished cases.
-    columns : mapping of str to str
-        Its figures and their meanings (`Study.columns`).
+    `done` are the summary's rows of finished cases, `columns` its figures and their meanings
+    (`Study.columns`).
     """
     there = [name for name in columns if name not in _SOLVER and name in done]
     numbers = done[there].apply(pd.to_numeric, errors="coerce")

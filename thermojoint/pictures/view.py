@@ -64,23 +64,11 @@ FRAMES = 120
 
 
 def draw(source: Path, show: Show | None, out: Path, report: Report, up: Up | None = None) -> None:
-    """Draw a case or a response into `out`.
+    """Draw a case (TOML) or a response (.nc) into a PNG; curves also into an SVG or PDF.
 
     Curves are drawn from the response; fields at the end of the run require another simulation,
-    since a response contains only its probes.
-
-    Parameters
-    ----------
-    source : Path
-        A case (TOML) or a response (.nc).
-    show : Show, optional
-        Default the structure of a case, and a response's curves.
-    out : Path
-        PNG; curves also SVG or PDF.
-    report : callable
-        Progress.
-    up : Up, optional
-        Default the direction away from the supports; not for curves.
+    since a response contains only its probes. The default is to show the structure of a case, and a
+    response's curves; `up`, not for curves, is by default the direction away from the supports.
 
     Raises
     ------

@@ -78,12 +78,8 @@ class Quantity:
     ) -> Check:
         """Return the check of this quantity in a case, called "CASE: QUANTITY".
 
-        Parameters
-        ----------
-        case : str
-            Name of the computed case; if it contains a colon, the check is called "CASE, QUANTITY".
-        reference, computed, scale, relative_error
-            As in `Check`.
+        If the name of the case contains a colon, the check is called "CASE, QUANTITY". The numbers
+        are those of `Check`.
         """
         return Check(
             name=f"{case}{',' if ': ' in case else ':'} {self.name}",

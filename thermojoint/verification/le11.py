@@ -34,12 +34,8 @@ _NECK = np.sqrt(0.5)
 def section(through: Array, along: Array) -> Array:
     """Return (r, z) of the section, shape (2, n), m.
 
-    Parameters
-    ----------
-    through : ndarray, shape (n,)
-        0 inside, 1 outside.
-    along : ndarray, shape (n,)
-        0 at the bottom, 4 at the top; whole numbers end a part.
+    `through` is 0 inside, 1 outside; `along` is 0 at the bottom, 4 at the top, and whole numbers
+    end a part; both have shape (n,).
     """
     arc = np.minimum(along, 2.0) * np.pi / 8.0
     middle = 0.5 * (_NECK + 1.79)

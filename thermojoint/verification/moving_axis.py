@@ -51,12 +51,8 @@ def checks() -> Iterator[Check]:
 def slide_on_guide(lines: tuple[Array, Array, Array], slide: tuple[Array, Array]) -> Structure:
     """Return a guide with its surface at y = 0 and a slide above it.
 
-    Parameters
-    ----------
-    lines : tuple of ndarray
-        Grid of the guide along x, y and z, m.
-    slide : tuple of ndarray
-        Grid of the slide along x and y; along z it equals the guide's.
+    `lines` are the grid of the guide along x, y and z, m; `slide` that of the slide along x and y.
+    Along z it equals the guide's.
     """
     mesh, bodies = put_side_by_side(
         [MeshHex.init_tensor(*lines), MeshHex.init_tensor(*slide, lines[2])]

@@ -13,24 +13,10 @@ from thermojoint.artefacts.arrays import Array
 def solve_given(
     matrix: csr_array, load: Array, given: NDArray[np.int64], values: Array | float, what: str
 ) -> Array:
-    """Solve matrix x = load for the unknowns that are not given.
+    """Solve matrix x = load for the unknowns that are not given, shape (n,).
 
-    Parameters
-    ----------
-    matrix : scipy.sparse.csr_array, shape (n, n)
-        Symmetric; positive definite on the unknowns that are not given.
-    load : ndarray, shape (n,)
-        Right-hand side; the rows of the given unknowns are not used.
-    given : ndarray of int, shape (g,)
-        Unknowns whose value is known.
-    values : ndarray, shape (g,), or float
-        Their values.
-    what : str
-        Name for error messages.
-
-    Returns
-    -------
-    ndarray, shape (n,)
+    On these the matrix is symmetric and positive definite. `given` are the numbers of the others,
+    shape (g,), `values` their values; their rows of the load are not used.
     """
     solution = np.zeros(matrix.shape[0])
     solution[given] = values

@@ -118,10 +118,7 @@ SECTION = (0.06, 0.04)
 def two_bars(left: Mesh, right: Mesh) -> Structure:
     """Return bodies "left" and "right" that face each other in a joint called "joint".
 
-    Parameters
-    ----------
-    left, right : skfem.Mesh
-        Meshes of the same kind; `right` begins at the x where `left` ends. They share no node.
+    `right` begins at the x where `left` ends; they share no node.
     """
     mesh, bodies = put_side_by_side([left, right])
     return Structure(
