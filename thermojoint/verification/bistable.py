@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +30,7 @@ from meshes.exchange import write_structure
 from meshes.structure import Probe, Structure
 from thermojoint.artefacts.files import temporary_folder
 from thermojoint.verification.check import Check, Quantity
+from thermojoint.verification.solving import roots_on
 from thermojoint.verification.structures import FOREVER, box_grid, box_surfaces
 
 #: Length and width of the rod, m.
@@ -70,13 +70,8 @@ def at_opening(opening: float, wall: float) -> tuple[float, float, float]:
 def steady_states(wall: float) -> list[tuple[float, float, float]]:
     """Return opening (m), pressure (Pa) and end temperature (K) of each, the most open first."""
     grid = np.linspace(0.0, -CLEARANCE - 3.0 * ROUGHNESS, 1001)
-    lack = [at_opening(float(opening), wall)[0] for opening in grid]
-    states = []
-    for ends, (before, after) in zip(pairwise(grid), pairwise(lack), strict=True):
-        if before * after < 0.0:
-            opening = brentq(lambda g: at_opening(g, wall)[0], *ends, xtol=1e-18, rtol=1e-14)
-            states.append((opening, *at_opening(opening, wall)[1:]))
-    return states
+    openings = roots_on(grid, lambda g: at_opening(g, wall)[0], xtol=1e-18, rtol=1e-14)
+    return [(opening, *at_opening(opening, wall)[1:]) for opening in openings]
 
 
 def rod(elements: int = 20) -> Structure:

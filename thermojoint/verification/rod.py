@@ -23,7 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import islice, pairwise
+from itertools import islice
 
 import numpy as np
 from scipy.optimize import brentq
@@ -36,6 +36,7 @@ from fesim.march.stepping import iterated, march, staggered
 from thermojoint.artefacts.arrays import Array
 from thermojoint.verification.check import Check, Quantity
 from thermojoint.verification.rods import NO_FRICTION, Rods, rods
+from thermojoint.verification.solving import roots_on
 from thermojoint.verification.structures import FOREVER, IRON, STEEL
 
 LENGTH, WALL_LENGTH = 0.1, 0.02
@@ -153,13 +154,7 @@ def case_at(law: JointLaw, opening: float) -> Case:
 
 def balanced_openings(case: Case) -> list[float]:
     """Openings (m) of all steady states, the widest first, from the balance in the docstring."""
-    grid = np.linspace(0.0, -SEPARATION, 401)
-    signs = [case.misfit(float(opening)) for opening in grid]
-    return [
-        brentq(case.misfit, *ends, xtol=1e-20, rtol=1e-14)
-        for ends, (before, after) in zip(pairwise(grid), pairwise(signs), strict=True)
-        if before * after < 0.0
-    ]
+    return roots_on(np.linspace(0.0, -SEPARATION, 401), case.misfit, xtol=1e-20, rtol=1e-14)
 
 
 def response(still: CondensedMachine, case: Case, pressure: float) -> State:
@@ -179,12 +174,8 @@ def excess(still: CondensedMachine, case: Case, pressure: float) -> float:
 def continued(still: CondensedMachine, case: Case) -> list[State]:
     """Find all steady states of the machine by following its response to the pressure."""
     grid = [case.pressure(opening) for opening in np.linspace(0.0, -0.6 * SEPARATION, 41)]
-    values = [excess(still, case, pressure) for pressure in grid]
-    return [
-        response(still, case, brentq(lambda p: excess(still, case, p), *ends, rtol=1e-13))
-        for ends, (before, after) in zip(pairwise(grid), pairwise(values), strict=True)
-        if before * after < 0.0
-    ]
+    pressures = roots_on(grid, lambda p: excess(still, case, p), rtol=1e-13)
+    return [response(still, case, pressure) for pressure in pressures]
 
 
 def steady_near(still: CondensedMachine, case: Case, opening: float) -> State:

@@ -1,9 +1,13 @@
-"""Solution of linear systems with prescribed unknowns."""
+"""Solution of linear systems with prescribed unknowns; all roots of a function on a grid."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 from scipy.sparse import csr_array
 
 from fesim.solid.linear_solver import checked_solve, factorise
@@ -25,3 +29,15 @@ def solve_given(
     right = load[free] - rows @ solution
     solution[free] = checked_solve(factorise(rows[:, free], what), right, what)
     return solution
+
+
+def roots_on(
+    grid: Iterable[float], function: Callable[[float], float], **tolerances: float
+) -> list[float]:
+    """Return the roots between neighbours of a grid where the sign of a function changes."""
+    values = [(float(at), function(float(at))) for at in grid]
+    return [
+        brentq(function, low, high, **tolerances)
+        for (low, before), (high, after) in pairwise(values)
+        if before * after < 0.0
+    ]
