@@ -61,6 +61,11 @@ class Stage:
         """Longest edge of the structure's box, m."""
         return float(np.ptp(self.setup.structure.mesh.p, axis=1).max())
 
+    @property
+    def camera(self) -> Camera:
+        """View of the whole structure."""
+        return Camera(onto(self.setup.structure, self.up, self.mirror), self.up)
+
 
 def make_stage(setup: Setup, up: Vector, mirror: Mirror | None) -> Stage:
     """Return the stage of a set-up structure."""
@@ -114,8 +119,7 @@ def cut_panel(stage: Stage, fields: Fields) -> Panel:
 
 
 def _temperature_panel(stage: Stage, title: str, surfaces: tuple[Surface, ...]) -> Panel:
-    camera = Camera(onto(stage.setup.structure, stage.up, stage.mirror), stage.up)
-    return Panel(title, surfaces, camera, shows="temperature rise (K)")
+    return Panel(title, surfaces, stage.camera, shows="temperature rise (K)")
 
 
 def deformed_panel(stage: Stage, fields: Fields, factor: float) -> Panel:
@@ -126,13 +130,8 @@ def deformed_panel(stage: Stage, fields: Fields, factor: float) -> Panel:
         points=stage.skin.points + factor * fields.displacement,
         values=1e6 * np.linalg.norm(fields.displacement, axis=1),
     )
-    camera = Camera(onto(stage.setup.structure, stage.up, stage.mirror), stage.up)
-    return Panel(
-        f"deformation drawn {factor:g} times too large",
-        (ghost, warm),
-        camera,
-        shows="displacement (µm)",
-    )
+    title = f"deformation drawn {factor:g} times too large"
+    return Panel(title, (ghost, warm), stage.camera, shows="displacement (µm)")
 
 
 def pressure_panel(stage: Stage, fields: Fields) -> Panel:

@@ -20,12 +20,8 @@ _DISTANCES = np.arange(0.9, 12.0, 0.6)
 def place_labels(points: Array, sizes: Array, window: Sequence[float]) -> Array:
     """Return the centre of every label, of width and height `sizes`, of points; both (n, 2).
 
-    Labels stay inside the window (left, right, bottom, top) if there is room.
-
-    Returns
-    -------
-    ndarray, shape (n, 2)
-        No two labels overlap, nor a label and a point, unless the neighbourhood is full.
+    No two labels overlap, nor a label and a point, unless the neighbourhood is full; they stay
+    inside the window (left, right, bottom, top) if there is room.
     """
     placed: list[tuple[Array, Array]] = []
     for point, size in zip(points, sizes, strict=True):

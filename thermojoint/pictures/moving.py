@@ -19,7 +19,7 @@ from thermojoint.artefacts.arrays import Array
 from thermojoint.artefacts.errors import InputError
 from thermojoint.artefacts.units import MILLI
 from thermojoint.console import Report
-from thermojoint.pictures.camera import Camera, Vector
+from thermojoint.pictures.camera import Vector
 from thermojoint.pictures.field_scenes import make_stage
 from thermojoint.pictures.scenes import (
     Panel,
@@ -30,7 +30,6 @@ from thermojoint.pictures.scenes import (
     mirror_of,
     whole,
 )
-from thermojoint.pictures.structure_scene import onto
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -119,7 +118,6 @@ def moving_scenes(case: Case, report: Report, count: int, up: Vector) -> list[Sc
     stage = make_stage(setup, up, mirror)
     carried = carried_nodes(case, setup.structure, stage.nodes)
     shown = np.array([MILLI * axis.mesh_position_mm for axis in case.axes.values()])
-    camera = Camera(onto(setup.structure, up, mirror), up)
     times = np.linspace(0.0, step_count(case.march) * step_s, count)[1:]
     due = {0} | {first_step_at(float(time), step_s) for time in times}
     own = setup.spaces.heat.nodal_dofs[0][stage.nodes]
@@ -132,7 +130,9 @@ def moving_scenes(case: Case, report: Report, count: int, up: Vector) -> list[Sc
         way = np.array(place_of(ready.axes, time)) - shown
         points = stage.skin.points + np.einsum("a,anj->nj", way, carried)
         skin = Surface(points, stage.skin.faces, values=setup.nodal_temperature(step.state)[own])
-        panel = Panel("temperature", whole((skin,), mirror), camera, shows="temperature rise (K)")
+        panel = Panel(
+            "temperature", whole((skin,), mirror), stage.camera, shows="temperature rise (K)"
+        )
         moments.append((time, panel))
 
     keep(at_rest(setup.machine, axis_inputs(case).at(np.zeros(1))[0]))

@@ -51,12 +51,7 @@ def rendered(films: Sequence[Sequence[Scene]], height: int) -> Iterator[list[Pix
     """Yield the panels of every `finished` scene drawn by pyvista, or None if it cannot draw them.
 
     The scenes of one film show the same surfaces, moved and recoloured, so one plotter per panel
-    suffices. The panels are `height` pixels high.
-
-    Yields
-    ------
-    list of ndarray, shape (height, width, 3)
-        One picture for each panel.
+    suffices. A panel is a picture of shape (height, width, 3).
     """
     scenes = [scene for film in films for scene in film]
     if find_spec("pyvista") is None:

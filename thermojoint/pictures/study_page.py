@@ -33,7 +33,8 @@ def study_html(study: Study, summary: pd.DataFrame, dataset: xr.Dataset) -> str:
 
     The summary is that of `fesim.batch.run.Finished`, the dataset its ``dataset.zarr``.
     """
-    done = summary[summary["status"] == "done"]
+    is_done = summary["status"] == "done"
+    done, failed = summary[is_done], summary[~is_done]
     paths = [path for path in study.paths if _varies(done, path)]
     table = figure_rows(done, study.columns)
     figures = [name for name, *_ in table if _varies(done, name)]
@@ -48,11 +49,8 @@ def study_html(study: Study, summary: pd.DataFrame, dataset: xr.Dataset) -> str:
             quantiles=QUANTILES,
             table=table,
             pictures=_pictures(done, dataset, paths, figures),
-            failed=summary[summary["status"] != "done"][["id", "reason"]]
-            .head(MOST_FAILED)
-            .to_numpy()
-            .tolist(),
-            missing=int((summary["status"] != "done").sum()),
+            failed=failed[["id", "reason"]].head(MOST_FAILED).to_numpy().tolist(),
+            missing=len(failed),
         )
     )
 
