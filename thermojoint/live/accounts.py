@@ -18,7 +18,7 @@ from thermojoint.live.disk_reserve import preallocate
 from thermojoint.live.rights import Principal
 from thermojoint.live.secret import read_secret
 from thermojoint.live.settings import Service
-from thermojoint.live.tokens import token_of
+from thermojoint.live.tokens import token_of, tokens_in
 from thermojoint.live.users import PasswordCheck, principal_of, read_users
 
 #: Smallest length of a token of the settings: so many random characters cannot be guessed.
@@ -38,6 +38,11 @@ class Accounts:
     given: Mapping[str, Principal] = field(default_factory=dict)
     passwords: PasswordCheck = field(default_factory=lambda: PasswordCheck({}))
     _read: int = -1
+
+    def check_log_in(self) -> None:
+        """Refuse an HTTP server where no one could log in."""
+        if not (self.given or self.users_file or tokens_in(self.store)):
+            raise InputError("http: no one could log in; name a token or a file of users")
 
     def by_password(self, name: str, password: str) -> Principal | None:
         """Return the rights of a user; None if the password is wrong."""

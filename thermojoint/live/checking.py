@@ -25,7 +25,6 @@ from thermojoint.live.readers.reader import readers_of
 from thermojoint.live.scene import scene_of
 from thermojoint.live.settings import Service
 from thermojoint.live.store import check_store, is_locked, occupied
-from thermojoint.live.tokens import tokens_in
 from thermojoint.live.trust_list import contents_of
 
 #: Content of the service's folder that a check examines; the folder is not changed.
@@ -133,9 +132,9 @@ def _check_target(service: Service, models: dict[str, LoadedModel], name: str) -
 
 def _check_users(service: Service) -> None:
     accounts = accounts_of(service)
-    with closing(accounts.store) as store:
-        if service.given.http and not (accounts.given or accounts.users_file or tokens_in(store)):
-            raise InputError("http: no one could log in; name a token or a file of users")
+    with closing(accounts.store):
+        if service.given.http:
+            accounts.check_log_in()
 
 
 def _check_interfaces(service: Service) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import re
 from collections.abc import Callable
@@ -55,8 +56,7 @@ def _quoted(value: str) -> str:
     if _PLAIN.fullmatch(value):
         return value
     printable = "".join(character if character.isprintable() else "?" for character in value)
-    escaped = printable.replace("\\", "\\\\").replace('"', '\\"')
-    return f'"{escaped}"'
+    return json.dumps(printable, ensure_ascii=False)
 
 
 def log_to_stderr() -> None:

@@ -477,7 +477,7 @@ def test_tls_is_what_is_spoken_and_the_ticket_is_for_it_alone(tmp_path):
 
 def test_without_tls_nobody_else_can_reach_it(tmp_path):
     with (
-        pytest.raises(InputError, match="unencrypted"),
+        pytest.raises(InputError, match="which others reach"),
         serving(tmp_path, None, {}, [], address="0.0.0.0"),
     ):
         pass

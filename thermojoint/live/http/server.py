@@ -20,9 +20,9 @@ from thermojoint.live.http.backend import Backend
 from thermojoint.live.http.hosts import hosts_of
 from thermojoint.live.http.timeouts import PatientProtocol, Server
 from thermojoint.live.http.token_buckets import RateLimit
+from thermojoint.live.ip_address import in_url
 from thermojoint.live.limited_socket import listening
-from thermojoint.live.settings import HttpServer, is_loopback
-from thermojoint.live.tokens import tokens_in
+from thermojoint.live.settings import HttpServer, check_protected
 
 #: Simultaneous connections besides one per stream; more where one address may have more.
 MOST_CONNECTIONS = 256
@@ -79,7 +79,7 @@ class BoundServer:
         """URL for a browser."""
         host, port = self.socket.getsockname()[:2]
         scheme = "https" if self.server.config.is_ssl else "http"
-        return f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}"
+        return f"{scheme}://{in_url(host)}:{port}"
 
 
 def open_http(
@@ -90,16 +90,12 @@ def open_http(
     Raises
     ------
     InputError
-        Nobody could log in, the certificate cannot be used, or the address cannot be bound.
+        Nobody could log in, or others without TLS, the certificate cannot be used, or the address
+        cannot be bound.
     """
     secure = section.security == "tls"
-    if not secure and not is_loopback(section.address):
-        raise InputError(
-            f'http: security = "none" at {section.address} would send passwords unencrypted; use '
-            "127.0.0.1, or TLS"
-        )
-    if not (accounts.given or accounts.users_file or tokens_in(accounts.store)):
-        raise InputError("http: no one could log in; name a token or a file of users")
+    check_protected("http", section)
+    accounts.check_log_in()
     own = http_identity(section, folder) if secure else None
     access = AccessControl(
         accounts,

@@ -14,6 +14,7 @@ from pathlib import Path
 from thermojoint.artefacts.errors import InputError, unknown_name
 from thermojoint.artefacts.units import MEGA
 from thermojoint.compensation.offsets.settings import Settings, read_settings
+from thermojoint.live.ip_address import in_url
 from thermojoint.live.settings import HttpServer, Service
 
 #: Names of the installed files.
@@ -126,7 +127,7 @@ def _url_of(http: HttpServer) -> str:
     """Return the URL at which a control on the same computer reaches the service."""
     host = "127.0.0.1" if http.address in ("0.0.0.0", "::") else http.address
     scheme = "https" if http.security == "tls" else "http"
-    return f"{scheme}://{f'[{host}]' if ':' in host else host}:{http.port}"
+    return f"{scheme}://{in_url(host)}:{http.port}"
 
 
 def entries_of(text: str) -> Mapping[str, str]:
