@@ -132,19 +132,9 @@ def process_sample(
 
     A sample that is refused is a pause: the offsets follow the last estimate until it is too old.
 
-    Parameters
-    ----------
-    model : LoadedModel
-        Its model.
-    state : MachineState
-        State before the sample; `assembly` is not changed.
-    sample : (float, tuple of float)
-        Its instant, s since 1970, and its readings in the order of `model.intake.names`; NaN for
-        missing ones.
-    times : Times
-        Time of publication.
-    age, silence : float
-        Age of the sample, and of the last estimate before it, at that time, s.
+    The sample is its instant, s since 1970, and its readings in the order of `model.intake.names`;
+    NaN for missing ones. It is published at `times`; then it and the last estimate before it have
+    the ages `age` and `silence`, s.
     """
     (instant, readings), now = sample, times.now
     state = update_handshake(model, state, times.clock)

@@ -75,21 +75,10 @@ def after_sample(
     band: Array,
     state: Array,
 ) -> ReadingRequest:
-    """Return the request after a sample.
+    """Return the request after a sample, taken at an instant (s since 1970).
 
-    Parameters
-    ----------
-    limits : RequestLimits
-    request : ReadingRequest
-        Request before the sample.
-    instant : float
-        Instant of the sample, s since 1970.
-    read : collection of str
-        Axes whose displacement was read in the sample.
-    band : ndarray, shape (axes,)
-        Half-widths after the sample, m.
-    state : ndarray
-        State of the estimator after the sample.
+    `read` are the axes whose displacement was read in it; `band`, shape (axes,), are the
+    half-widths after it, m, and `state` is the estimator's state after it.
     """
     if request.axis in read:
         return ended(limits, request, instant, "taken")

@@ -114,12 +114,11 @@ def _http_server(running: Running, section: HttpServer) -> Coroutine[Any, Any, N
     return serve_http(opened, running.stop)
 
 
-def _postpone(running: Running, machine: str) -> bool:
+def _postpone(running: Running, machine: str) -> None:
     """Postpone the requested displacement reading of a machine."""
     changed = postpone(running.fleet, machine, time.time())
     if changed is not None:
         running.publisher.publish([changed])
-    return changed is not None
 
 
 def _queue_readings(running: Running, machine: str, given: Mapping[str, float]) -> bool:

@@ -22,19 +22,11 @@ async def serve_file(
     reload: asyncio.Event,
     ready: Callable[[Running], None] = lambda running: None,
 ) -> None:
-    """Run the service of a file until `stop` is set or every source has ended.
+    """Run the service of a file (TOML) until `stop` is set or every source has ended.
 
-    Parameters
-    ----------
-    path : Path
-        File of the service (TOML).
-    stop : asyncio.Event
-    reload : asyncio.Event
-        Set whenever file, models or certificates have changed. If they are invalid, the service
-        continues with the present ones; if they cannot be started all the same, it starts again
-        with the former ones.
-    ready : callable
-        Called at every start, when all interfaces are open.
+    `reload` is set whenever file, models or certificates have changed. If they are invalid, the
+    service continues with the present ones; if they cannot be started all the same, it starts again
+    with the former ones. `ready` is called at every start, when all interfaces are open.
 
     Raises
     ------

@@ -91,22 +91,11 @@ def assemble(
     readings: Readings,
     clock: tuple[float, float] = (math.inf, math.inf),
 ) -> AssemblyStep:
-    """Assign the readings of one time to samples.
+    """Assign the readings of one time, s since 1970 by the source's clock, to samples.
 
     A reading from the future closes no sample until a second one confirms its time: a single wrong
-    time would otherwise block all readings until then.
-
-    Parameters
-    ----------
-    rule : AssemblyRule
-    state : AssemblyState
-        State before them.
-    time : float
-        Time by the source's clock, s since 1970.
-    readings : sequence of float or None
-        One value for each reading.
-    clock : (float, float)
-        The present time, and the latest accepted time, s.
+    time would otherwise block all readings until then. `clock` is the present time, and the latest
+    accepted time, s.
     """
     now, limit = clock
     if not 0.0 <= time <= LATEST_TIME:

@@ -429,19 +429,10 @@ def prune(
 ) -> None:
     """Delete data no longer needed in small portions, because commits wait meanwhile.
 
-    Parameters
-    ----------
-    store : Connection
-    journal_until : int
-        Last entry of the journal that is in a checkpoint of every machine; up to `MOST_PRUNED`
-        entries are deleted. Entries in no checkpoint are kept: their machine has another model
-        since a kill, or is not served.
-    eras : iterable of int
-        Eras whose history is pruned now.
-    oldest : float
-        Time for which history, gaps and events are kept, s.
-    now : float
-        Present time, s since 1970.
+    Of the journal, whose entries up to `journal_until` are in a checkpoint of every machine, up to
+    `MOST_PRUNED` entries are deleted. Entries in no checkpoint are kept: their machine has another
+    model since a kill, or is not served. The history of some eras, gaps and events are kept for a
+    time `oldest`, s, before `now`, s since 1970.
     """
     store.execute("BEGIN IMMEDIATE")
     _move_ended_eras(store, journal_until)

@@ -54,8 +54,8 @@ class Backend:
     #: Machines whose controls answer the handshake by HTTP: the only user who may answer (None: any
     #: user who may write), and the function that receives the answer.
     controls: Mapping[str, tuple[str | None, Callable[[bytes], None]]] = field(default_factory=dict)
-    #: Postpones the displacement reading requested for a machine; False if there is no request.
-    postpone: Callable[[str], bool] = lambda machine: False
+    #: Postpones the displacement reading requested for a machine.
+    postpone: Callable[[str], object] = lambda machine: None
     #: Receives displacement readings of a machine, name to value, um; False if the queue is full.
     read: Callable[[str, Mapping[str, float]], bool] = lambda machine, given: False
     #: State of the disk for the health check.

@@ -74,17 +74,10 @@ def in_units(quantity: Quantity, metres: float) -> float:
 
 
 def next_value(quantity: Quantity, now: float, metres: float, most: float) -> float:
-    """Return the next value to write into a control.
+    """Return the next value to write into a control, which has the value `now`, in its unit.
 
-    Parameters
-    ----------
-    quantity : Quantity
-    now : float
-        Present value in the control's unit.
-    metres : float
-        Target, m or m/m; raises as `in_units`.
-    most : float
-        Largest change by one write, m or m/m; at least a step of the control.
+    The target, `metres`, is in m or m/m, and so is `most`, the largest change by one write: at
+    least a step of the control. Raises as `in_units`.
     """
     goal = in_units(quantity, metres)
     # Whole steps: a rounded change could exceed the limit, or be zero.

@@ -127,16 +127,8 @@ def stepped(axis: Axis, request: int, goal: int, allowed: int, clock: float) -> 
 class Connection:
     """Connection to the service.
 
-    Attributes
-    ----------
-    axes : tuple of str
-        Letters of the axes.
-    message : Message
-        The newest message; changed by `listen`.
-    differs : bool
-        Whether the service disagrees with the offsets in force.
-    enabled, in_force : bool, dict of str to float
-        Whether the control enables the offsets, and the offsets in force, µm; sent by `answer`.
+    `listen` changes the newest `message`, and whether the service `differs` from the offsets in
+    force. `answer` sends whether the control has `enabled` them, and those `in_force`, µm.
     """
 
     def __init__(self, given: argparse.Namespace, limits: Limits, axes: tuple[str, ...]) -> None:
