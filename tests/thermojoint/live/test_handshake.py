@@ -178,6 +178,15 @@ def test_an_answer_says_a_slope_by_what_it_makes_at_the_far_end():
     assert by_opcua.acknowledged == pytest.approx([math.nan, math.nan, 20e-6], nan_ok=True)
 
 
+@pytest.mark.parametrize(
+    ("written", "enabled"), [(True, True), (False, False), (None, False), ([False], False)]
+)
+def test_only_true_enables_the_offsets_by_opc_ua(written, enabled):
+    """An array of Booleans, which the server takes as well, is not true however many it has."""
+    layout = Layout(("x",), ("X",), (), ())
+    assert opcua_control.answer_of("Enable", layout, written).enabled is enabled
+
+
 def test_offsets_freeze_and_fade_without_the_control_and_go_on_from_what_it_cleared():
     given = {"rate_um_s": 1.0, "freeze_s": 5.0, "decay_s": 10.0, "recover_s": 3.0, "oldest_s": 9.0}
     output = offset_invariant.settings_of(given, two=False)

@@ -82,7 +82,7 @@ def acknowledged(layout: Layout) -> list[str]:
 def answer_of(name: str, layout: Layout, value: Any) -> Answer:  # noqa: ANN401
     """Return a value written by a control as an answer; None for a bad value."""
     if name == "Enable":
-        return Answer(enabled=bool(value))
+        return Answer(enabled=value is True)
     if name == "Heartbeat":
         return Answer(heartbeat=value)
     metres = math.nan if value is None else MICRO * value
