@@ -211,7 +211,7 @@ class StoreSection(Section):
 class AuditSection(Section):
     """``[audit]``: size of a file of the audit log, and how long earlier files are kept."""
 
-    largest_mb: Positive = 10.0
+    largest_mb: Annotated[float, Field(gt=0.0, le=1e6)] = 10.0
     keep_days: Positive = 365.0
 
 

@@ -105,6 +105,8 @@ def test_names_of_files_are_relative_to_the_file_of_the_service(tmp_path):
         ({"mqtt": {"security": "none", "host": "broker"}}, "which others reach"),
         ({"mqtt": {"password": "secret"}}, "mqtt.password"),
         ({"mqtt": {"password": {"file": "a", "variable": "B"}}}, "one place"),
+        ({"users": "users\0"}, "a null character"),
+        ({"audit": {"largest_mb": 1e308}}, "audit.largest_mb"),
         ({"watchdog": {"uncertain_s": 10.0, "bad_s": 5.0}}, "bad_s"),
         ({"machines": {"mill": {"model": "m", "source": "s", "count": 10_001}}}, "10000"),
         (

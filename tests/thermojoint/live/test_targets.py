@@ -143,6 +143,9 @@ def test_a_limit_between_two_steps_of_the_control_is_kept(quantity, most, path):
     ("lines", "told"),
     [
         ('kind = "fanuc"', "kind"),
+        ('kind = "beckhoff"\nurl = "opc.tcp://plc"\naxes = { Z = 1 }\nlargest_step_um = 1e308',
+         "largest_step_um"),
+        ('kind = "beckhoff"\nurl = "opc.tcp://plc"\naxes = { Z = 1 }\nevery_s = 1e-308', "every_s"),
         ('kind = "beckhoff"\nurl = "opc.tcp://plc"\naxes = { Z = 1 }\nlargest_step_um = 0.04',
          "less than one step of P-AXIS-00273 of axis Z"),
         ('kind = "beckhoff"\nurl = "opc.tcp://plc"\naxes = { Z = 1 }\n[slopes.Z]\n'

@@ -20,6 +20,8 @@ Texts = Annotated[tuple[str, ...], Field(strict=False)]
 
 
 def _beside(path: Path, info: ValidationInfo) -> Path:
+    if "\0" in str(path):
+        raise ValueError("a null character, which no file name has; correct it")
     # "-" is standard input.
     if info.context is None or str(path) == "-":
         return path

@@ -11,7 +11,7 @@ from pydantic import Field
 from thermojoint.artefacts.errors import InputError, unknown_name
 from thermojoint.artefacts.settings import toml
 from thermojoint.artefacts.settings.read import settings_from
-from thermojoint.artefacts.settings.section import Count, Finite, Positive, Section
+from thermojoint.artefacts.settings.section import Count, Finite, Section
 from thermojoint.artefacts.units import MICRO, MILLI
 from thermojoint.compensation.offsets.output import OutputSettings
 from thermojoint.live.settings import OpcuaAddress, check_protected
@@ -60,8 +60,8 @@ class TargetFile(OpcuaAddress):
 
     kind: Literal["sinumerik", "beckhoff"]
     enable: bool = False
-    every_s: Positive = 1.0
-    largest_step_um: Positive = 5.0
+    every_s: Annotated[float, Field(ge=1e-3, allow_inf_nan=False)] = 1.0
+    largest_step_um: Annotated[float, Field(gt=0.0, le=1e6)] = 5.0
     axes: Annotated[dict[str, Count], Field(min_length=1)]
     nodes: dict[str, str] = Field(default_factory=dict)
     slopes: dict[str, SlopeSection] = Field(default_factory=dict)
