@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -56,8 +55,7 @@ def mesh(
     arguments.check_outputs(outputs, [part, names])
     if names and draft:
         raise InputError("--draft: has names for everything; leave out --names")
-    if not 0.0 < size < math.inf:
-        raise InputError(f"--size-mm {size:g}: give a positive length")
+    arguments.positive("--size-mm", size)
     given = read_names(names) if names else NO_NAMES
     with console.working("meshing"):
         if draft:

@@ -165,32 +165,30 @@ function ages() {
   if (page.newest) write(document.getElementById("age"), age(clock.now() - page.newest.time_s));
 }
 
+function axisCard(id, kind, title, note) {
+  let item = document.getElementById(id);
+  if (!item) {
+    item = el("li", kind);
+    item.id = id;
+    const value = el("p", "value");
+    value.append(el("b", "number"), " µm");
+    item.append(el("p", "axis", title), value, el("p", "band", note));
+    document.getElementById("axes").append(item);
+  }
+  return item;
+}
+
 function axes() {
-  const list = document.getElementById("axes"), one = page.newest;
+  const one = page.newest;
   for (const axis of page.about.axes) {
-    let item = document.getElementById(`axis-${axis}`);
-    if (!item) {
-      item = el("li", "card axis-now");
-      item.id = `axis-${axis}`;
-      const value = el("p", "value");
-      value.append(el("b", "number"), " µm");
-      item.append(el("p", "axis", `δ${axis}`), value, el("p", "band"));
-      list.append(item);
-    }
+    const item = axisCard(`axis-${axis}`, "card axis-now", `δ${axis}`);
     const band = valueOf(one, "band_um", axis);
     write(item.querySelector(".number"), shown(one.displacement_um[axis], 1, true));
     write(item.querySelector(".band"), band === null ? "band unknown" : `± ${shown(band, 2)} µm (95 %)`);
   }
   for (const control of page.about.controls) {
-    let item = document.getElementById(`offset-${control}`);
-    if (!item) {
-      item = el("li", "card axis-now offset");
-      item.id = `offset-${control}`;
-      const value = el("p", "value");
-      value.append(el("b", "number"), " µm");
-      item.append(el("p", "axis", `${control} of the control`), value, el("p", "band", "offset sent"));
-      list.append(item);
-    }
+    const item = axisCard(
+      `offset-${control}`, "card axis-now offset", `${control} of the control`, "offset sent");
     write(item.querySelector(".number"), shown(one.offsets_um[control], 1, true));
     const slope = one.slopes_um_per_m && one.slopes_um_per_m[control];
     if (slope === undefined) continue;
