@@ -36,7 +36,7 @@ class History:
     layout: Layout
     #: The samples whose number is a multiple of `every`.
     columns: Columns
-    #: Shape (n,): times of the samples.
+    #: Shape (n,): numbers of the samples, counted from 1 in each era.
     numbers: NDArray[np.int64]
     status: tuple[str, ...]
     #: Times without samples within the span.

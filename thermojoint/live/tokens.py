@@ -13,7 +13,7 @@ from thermojoint.live.access_store import digest_of
 from thermojoint.live.rights import ALL_MACHINES, Principal
 from thermojoint.live.users import checked_rights
 
-_SELECT = "SELECT name, role, machines, digest, created, expires, used FROM tokens"
+_SELECT = "SELECT name, role, machines, digest, expires, used FROM tokens"
 #: Shortest interval at which the time of the last use is written, s.
 _USED_S = 60.0
 
@@ -23,8 +23,7 @@ class Token:
     """A token without its secret."""
 
     principal: Principal
-    #: Times, s since 1970.
-    created: float
+    #: Time of expiry, s since 1970.
     expires: float
     #: Time of the last use, to a minute; s since 1970.
     used: float | None
@@ -89,6 +88,6 @@ def token_of(store: sqlite3.Connection, digest: str, now: float) -> Principal | 
 
 
 def _token(row: Sequence[object]) -> Token:
-    name, role, machines, digest, created, expires, used = row
+    name, role, machines, digest, expires, used = row
     principal = Principal(name, role, tuple(str(machines).split(",")), digest)  # type: ignore[arg-type]
-    return Token(principal, created, expires, used)  # type: ignore[arg-type]
+    return Token(principal, expires, used)  # type: ignore[arg-type]
