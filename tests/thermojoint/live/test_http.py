@@ -323,6 +323,13 @@ def test_long_addresses_and_bodies_are_refused(floor, ask):
     assert ask.delete("/api/machines").status_code == 405
 
 
+def test_a_body_that_no_request_has_is_refused_in_words_every_time(ask):
+    """On a connection that is kept, the body may come after the server has decided."""
+    for _ in range(50):
+        assert ask.get("/api/machines?" + "x" * 3000).status_code == 414
+        assert ask.request("GET", "/api/machines", content=b"x").status_code == 413
+
+
 def test_streams_are_counted_and_given_back(floor, ask):
     with contextlib.ExitStack() as opened:
         for _ in range(2):

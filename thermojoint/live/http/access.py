@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import sqlite3
 import time
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 
 from starlette.datastructures import Headers, MutableHeaders
-from starlette.requests import HTTPConnection, Request
+from starlette.requests import ClientDisconnect, HTTPConnection, Request
 from starlette.responses import JSONResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -152,6 +153,10 @@ class AccessMiddleware:
             answer = self._refusal(scope)
         except (sqlite3.Error, OSError) as error:
             answer = refused(503, f"log-ins cannot be checked or audited now ({error})")
+        if answer is not None and answer.status_code == 413:
+            # A connection that is closed with unread data is reset, and the answer may be lost.
+            with suppress(ClientDisconnect):
+                await body_of(Request(scope, receive), LARGEST_HEAD)
         await (answer or self.app)(scope, receive, with_headers(send, self.access.secure))
 
     def _refusal(self, scope: Scope) -> Response | None:
