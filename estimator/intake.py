@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import takewhile
 
 from estimator.interface import Channel
 from thermojoint.artefacts.errors import InputError
@@ -55,10 +54,10 @@ def by_channels(channels: Sequence[Channel]) -> Intake:
     ----------
     channels : sequence of Channel
         A temperature ``T1`` in K is read as ``T1_K``; a name with a unit suffix is read as it is.
-        Lengths at the end are displacements, which are read occasionally, in µm.
+        Those that are read occasionally are the last.
     """
-    lengths = takewhile(lambda channel: channel.unit == "m", reversed(channels))
-    return of_columns([_named(channel) for channel in channels], len(channels) - len(list(lengths)))
+    wanted = sum(not channel.occasional for channel in channels)
+    return of_columns([_named(channel) for channel in channels], wanted)
 
 
 def of_columns(names: Sequence[str], wanted: int) -> Intake:

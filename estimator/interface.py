@@ -62,10 +62,13 @@ class Channel(NamedTuple):
         E.g. ``delta_T``.
     unit : str
         In SI, ``1`` if it has none.
+    occasional : bool
+        Whether it is read now and then, as by a touch probe; those are the last of a sample.
     """
 
     name: str
     unit: str
+    occasional: bool = False
 
 
 class Estimate(NamedTuple):
@@ -86,7 +89,7 @@ class Estimate(NamedTuple):
     missing, distrusted : tuple of str
         Channels that were empty, and channels with a value that were excluded.
     silent : bool
-        Whether the sample had no reading at all, as `follow` notes it.
+        Whether the sample had no reading but occasional ones, as `follow` notes it.
     """
 
     time: float
@@ -195,10 +198,11 @@ def follow(
     InputError, ConvergenceError
         As `Estimator.sample`, with the number of the sample (from 0) and its time.
     """
+    wanted = sum(not channel.occasional for channel in estimator.channels)
     for index, (time, *values) in enumerate(samples):
         try:
             state, estimate = estimator.sample(state, time, values)
         except ThermojointError as error:
             raise type(error)(f"sample {index} at {time:.15g} s: {error}") from error
-        heard = any(map(math.isfinite, values))
+        heard = any(map(math.isfinite, values[:wanted]))
         yield state, estimate if heard else estimate._replace(silent=True)

@@ -14,7 +14,7 @@ def sample_channels(model: ObserverModel) -> tuple[Channel, ...]:
         *(Channel(name, "1") for name in model.loads),
         *(Channel(name, "m") for name in (*model.positions, *model.ways)),
         *(Channel(name, "W") for name in model.powers),
-        *(Channel(f"displacement_{axis}", "m") for axis in model.axes),
+        *(Channel(f"displacement_{axis}", "m", occasional=True) for axis in model.axes),
     )
 
 

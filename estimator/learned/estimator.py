@@ -132,7 +132,10 @@ class Learned(Described):
         positions = self.model.positions
         return (
             *(Channel(name, _unit(name)) for name in (*self.model.columns, *positions)),
-            *(Channel(f"reading {name}", "m") for name in (*self.axes, *positions)),
+            *(
+                Channel(f"reading {name}", "m", occasional=True)
+                for name in (*self.axes, *positions)
+            ),
         )
 
     @property

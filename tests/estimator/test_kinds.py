@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from written_estimates import assert_compensate_reads_what_is_written
 
 import thermojoint as tj
-from estimator.interface import follow
+from estimator.interface import Channel, follow
 from estimator.registry import known_schemas
 from estimator.states import as_bytes, from_bytes
 from thermojoint.artefacts.errors import ConvergenceError, InputError, ThermojointError
@@ -268,6 +268,8 @@ def test_a_state_comes_back_from_its_bytes_and_a_changed_byte_is_found(values, a
 
 class Stopping:
     """Makes nothing of its second sample."""
+
+    channels = (Channel("T1", "K"),)
 
     def __init__(self, error):
         self.error = error

@@ -585,6 +585,15 @@ def test_the_preview_of_samples_without_any_reading_is_what_the_service_sends(
     assert previewed[70].state == ("decay" if deaf_from else "wait")
 
 
+def test_a_displacement_that_is_read_alone_is_silence_as_in_the_service(watched):
+    """`compensate` followed the prediction for as long as a probe was read."""
+    estimator, unread = watched.estimator, math.nan
+    alone = [unread if one.unit == "K" else 1e-6 for one in estimator.channels]
+    told = [watched.samples[0], (10.0, *alone)]
+    _, (_, estimate) = follow(estimator, told, estimator.initial_state())
+    assert estimate.silent
+
+
 def started(model, store, path, log, k):
     """The floor of a service that starts so many seconds after the start, and what it says."""
     service = service_from_data(
