@@ -1,8 +1,8 @@
 """Odometers of moving axes: dropouts and resets.
 
-Where an odometer is missing, its axis has travelled the distance between its positions, or more. It
-reports the rest when it returns, unless it was reset meanwhile. `unreported_motion` has the
-uncertainty meanwhile and afterwards.
+Where an odometer is missing, or stands while its axis moves, the axis has travelled the distance
+between its positions, or more. It reports the rest when it returns, unless it was reset meanwhile.
+`unreported_motion` has the uncertainty meanwhile and afterwards.
 """
 
 from __future__ import annotations
@@ -11,13 +11,16 @@ import numpy as np
 
 from estimator.joint_aware.observer import Observer
 from estimator.joint_aware.observer_state import ObserverState
+from estimator.joint_aware.sample_values import OVERTRAVEL
 from thermojoint.artefacts.arrays import Array, Flags
 
 
 def count(
     observer: Observer, after: ObserverState, counts: Array, stood: Array, elapsed: float
 ) -> tuple[Array, Flags]:
-    """Take the odometers of a sample into its state, in place.
+    """Take the odometers of a sample into its state, and mark those that stand as missing.
+
+    Both are changed in place.
 
     Parameters
     ----------
@@ -26,7 +29,8 @@ def count(
     after : ObserverState
         State of the sample before, but with the loads of this one.
     counts : ndarray, shape (c,)
-        Odometers, m; NaN where missing.
+        Odometers, m; NaN where missing, and afterwards also where it tells less than half of the
+        distance between the positions.
     stood : ndarray, shape (x,)
         Positions of the axes at the sample before, m.
     elapsed : float
@@ -46,11 +50,13 @@ def count(
     least = np.abs(observer.place(after.loads) - stood)[at]
     after.odometer[:] = np.where(unread, last + least, counts)
     since = after.odometer_age + elapsed
-    after.odometer_age[:] = np.where(unread, since, 0.0)
     travel = after.odometer - last
     moved = plausible(travel, since, observer.thresholds.fastest)
     travelled[at] = np.where(moved & ~unread, travel, 0.0)
-    return travelled, ~unread & ~moved
+    reset = ~unread & ~moved
+    counts[moved & (travel < 0.5 * least) & (least > OVERTRAVEL)] = np.nan
+    after.odometer_age[:] = np.where(np.isnan(counts), since, 0.0)
+    return travelled, reset
 
 
 def plausible(travel: Array, elapsed: Array, fastest: float) -> Flags:

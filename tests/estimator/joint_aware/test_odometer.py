@@ -10,6 +10,7 @@ from in_process import run
 from matiec import needs_matiec, selftest_by_both
 from moving_knee import SCREW, STEEL, moving
 from observed import assert_goes_on, estimates, observer
+from unseen_motion import assert_function_block
 
 from calibrate.joint_aware.calibration import machine_of
 from calibrate.joint_aware.measured_runs import runs_of
@@ -305,6 +306,15 @@ def test_an_axis_that_goes_straight_needs_none(tmp_path):
     _, alone = estimates(blind(made), np.delete(rows, WAY, axis=1).tolist())
     for one, other in zip(found, alone, strict=True):
         np.testing.assert_allclose(one.displacement, other.displacement, rtol=0.0, atol=1e-13)
+    # One that stands while its axis moves, or counts in another unit, tells nothing.
+    standing = rows.copy()
+    standing[:, WAY] *= 1e-3
+    _, found = estimates(made, standing.tolist())
+    for one, other in zip(found, alone, strict=True):
+        np.testing.assert_allclose(one.displacement, other.displacement, rtol=0.0, atol=1e-13)
+    moves = np.append(False, np.diff(rows[:, 4]) != 0.0)
+    assert [bool(one.missing) for one in found] == moves.tolist()
+    assert (found[-1].band > 2.0 * alone[-1].band).all()
     # Back after some samples, it does not count again what the positions have told.
     rows[7:20, WAY] = np.nan
     _, found = estimates(made, rows.tolist())
@@ -326,13 +336,16 @@ def test_file_log_and_service_know_the_odometer(counting, samples, tmp_path):
 
 @needs_gcc
 def test_its_programs_know_the_odometer(counting, samples, tmp_path):
-    """Also where it is not read, and where it is set anew."""
+    """Also where it is not read, where it stands, and where it is set anew."""
     rows = samples.copy()
     rows[30:, WAY] -= rows[30, WAY]
     program = export_program(counting, name="m", samples=rows.tolist())
     figures = selftest(written(program, tmp_path), "m", "-O1", *SANITISED)
     assert figures["state"] == program.state
     rows[10:13, WAY] = np.nan
+    # It stands while its axis moves.
+    rows[70:75, 4] = 0.02 * np.arange(5)
+    rows[70:75, WAY] = rows[70, WAY]
     got = as_in_python(program, counting, rows.tolist(), tmp_path)
     _, there = estimates(counting, rows.tolist())
     bands = np.array([one.band for one in there])
@@ -355,3 +368,8 @@ def test_its_programs_know_the_odometer(counting, samples, tmp_path):
 def test_its_function_blocks_know_the_odometer(counting, samples, tmp_path):
     program = export_program(counting, name="m", samples=samples.tolist())
     selftest_by_both(program, tmp_path)
+    # It stands while its axis moves.
+    rows = samples.copy()
+    rows[70:75, 4] = 0.02 * np.arange(5)
+    rows[70:75, WAY] = rows[70, WAY]
+    assert_function_block(program, counting, rows, tmp_path)
