@@ -98,12 +98,14 @@ def guided(estimator: JointAware, kernel: JointKernel) -> Placed:
     values, asked = _lines(estimator)
     springs = _springs(kernel)
     area = np.tile(way.elastic.ties.area, 3)
+    # They follow the modulus, as `ElasticCondensation.strained`.
+    ties = way.elastic.modulus * way.elastic.ties.reference
     grown, below = _grown(way, held)
     heat = heat_step(model.modes, model.step)
     missing = np.eye(len(physics.held_exchange)) - physics.held_exchange @ heat.joint_influence
     first = np.concatenate([[0], np.cumsum(counts)])
     ends = np.array([one[[0, -1]] for one in way.stations.positions])
-    exchanged = (area * (way.elastic.ties.reference - springs))[held]
+    exchanged = (area * (ties - springs))[held]
     rides = np.full(physics.contacts, -1)
     for axis, riding in enumerate(way.stations.riding):
         rides[riding] = axis
@@ -163,7 +165,7 @@ def guided(estimator: JointAware, kernel: JointKernel) -> Placed:
             Table("ends", "First and last aligned position, m.", ends),
             Table("place_before", "Before the first sample, m.", model.modes.factors),
             Table("grown_of", "Pads, stations, anchors, probes apart, m per mode.", grown),
-            Table("pull", "Springs of the ties, N/m.", (area * way.elastic.ties.reference)[held]),
+            Table("pull", "Springs of the ties, N/m.", (area * ties)[held]),
             Table("loosened", "... less those of a joint that sticks, N/m.", exchanged),
             Table("area", "Of a tie, m2.", area[held]),
             Table("springs", "Of a joint that sticks, Pa/m.", springs),

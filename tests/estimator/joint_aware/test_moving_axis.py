@@ -435,6 +435,13 @@ def test_its_program_follows_the_axis_with_every_warning_and_sanitiser(
 
 
 @needs_gcc
+def test_its_program_has_the_modulus_of_the_calibration(machine, response, samples, tmp_path):
+    """The springs of the ties follow it: the joints of the program were less stiff."""
+    stiffer = observer(machine.strained(1.1, 1.0), {"run": response})
+    selftest(written(export_program(stiffer, name="m", samples=samples), tmp_path), "m", "-O1")
+
+
+@needs_gcc
 def test_its_program_gives_the_line_and_the_place_with_their_bands(
     estimator, samples, program, tmp_path
 ):
