@@ -149,8 +149,8 @@ def test_a_pole_that_is_not_stable_is_refused():
         deformation_bank(DeformationModel(1e-6, 1e-6, 0.0, 0.01, -0.01, 0.02))
 
 
-@pytest.mark.parametrize("band", [(0.0, 100.0), (2.0, 1.0), (float("nan"), 5.0)])
-def test_a_run_without_samples_is_refused(band):
+@pytest.mark.parametrize("band", [(0.0, 100.0), (2.0, 1.0), (float("nan"), 5.0), (1e-9, 7200.0)])
+def test_a_run_without_samples_or_with_too_many_is_refused(band):
     with pytest.raises(InputError, match="do not make a run"):
         excited_band(*band)
 

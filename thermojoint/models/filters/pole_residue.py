@@ -33,6 +33,8 @@ _USABLE = 1e-3
 _PER_DECADE = 60
 _BEYOND = 30.0
 _BELOW = 0.1
+#: Intervals of a run at most: with ten times as many, rounding loses the slowest poles.
+_MOST = 1e9
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,12 +65,13 @@ def excited_band(dt_s: float, run_length_s: float) -> tuple[float, float]:
     Raises
     ------
     InputError
-        The sampling interval or the run length is not positive, or the run has only one sample.
+        The sampling interval or the run length is not positive, or the run has only one sample or
+        more than `_MOST` of them.
     """
-    if not 0.0 < dt_s < run_length_s < np.inf:
+    if not (0.0 < dt_s < run_length_s < np.inf and run_length_s <= _MOST * dt_s):
         raise InputError(
             f"sampling interval {dt_s:g} s and run length {run_length_s:g} s do not make a run; "
-            "give 0 < interval < length"
+            f"give 0 < interval < length, and a length of at most {_MOST:.0e} intervals"
         )
     return _BELOW / run_length_s, _BEYOND * np.pi / dt_s
 
