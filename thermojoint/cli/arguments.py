@@ -65,8 +65,10 @@ def check_outputs(
     """
     taken = [("an input", path) for path in inputs if path is not None and str(path) != "-"]
     for option, (path, kind) in outputs.items():
-        if path is None or str(path) == "-":
+        if path is None or (str(path) == "-" and (option == "--json" or kind.printed)):
             continue
+        if str(path) == "-":
+            raise InputError(f"{option} -: {kind.name} is not printed; give a file name")
         if path.is_dir():
             raise InputError(f"{path}: is a folder; give a file name")
         check_place(path, path.absolute().parent)

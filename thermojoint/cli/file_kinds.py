@@ -25,6 +25,8 @@ class Kind:
     holds: Callable[[Path], bool]
     #: Required suffix of the name; empty if its writer checks the suffix.
     suffix: str = ""
+    #: Whether ``-`` prints it on standard output, as all results of --json.
+    printed: bool = False
 
 
 def _head(path: Path) -> bytes:
@@ -156,7 +158,7 @@ CALIBRATION_REPORT = Kind(
 )
 BASELINES = Kind("a file of baselines", _schema("thermojoint-baselines"), ".json")
 ESTIMATOR_STATE = Kind("the state of an estimator", _schema("thermojoint-estimator-state"), ".json")
-ESTIMATE = Kind("an estimate", _csv(b"time_s,", b",status,quality"), ".csv")
+ESTIMATE = Kind("an estimate", _csv(b"time_s,", b",status,quality"), ".csv", True)
 ASSEMBLY = Kind("an assembled estimator", _schema("thermojoint-assembly"), ".json")
 FMU = Kind("an FMU of this program", _is_fmu, ".fmu")
 TABLES = Kind("tables of a model", _json("table1", "table2", "table3"), ".json")
@@ -166,7 +168,7 @@ OPTIMISATION = Kind("an optimisation", _json("found", "figures", "history"), ".j
 SENSITIVITY_TABLE = Kind("a table of a sensitivity study", _csv(b"figure,path,", b""), ".csv")
 SENSITIVITY = Kind("a sensitivity study", _json("entries"), ".json")
 VERIFICATION_PAGE = Kind("a page of the verification", _starts(b"# Verification\n"), ".md")
-OFFSETS = Kind("a preview of offsets", _csv(b"time_s,offset_", b",state"), ".csv")
+OFFSETS = Kind("a preview of offsets", _csv(b"time_s,offset_", b",state"), ".csv", True)
 TEST_REPORT = Kind("a report of a thermal test", _is_report("iso230-3"), ".html")
 TEST_PARAMETERS = Kind("parameters of a thermal test", _schema("thermojoint-iso230-3"), ".json")
 TARGET = Kind("what 'target' writes", _is_of_target)

@@ -87,6 +87,8 @@ SLIPS = {
     "mesh over its part": ["mesh", "part.msh", "--size-mm", "9", "--out", "part.msh"],
     "results over other files": ["reproduce", "--case", "case.toml", "--out", "."],
     "snapshots over other files": [*("simulate", "case.toml", "--out", "o.nc", "--snapshots", ".")],
+    "no name for a response": ["simulate", "case.toml", "--out", "-"],
+    "no name for a state": ["simulate", "case.toml", "--out", "o.nc", "--save-state", "-"],
     "a device": ["simulate", "case.toml", "--out", "/dev/null"],
 }
 
