@@ -80,14 +80,16 @@ def fields_at(stage: Stage, step: Step, sources: int) -> Fields:
     """Return the fields of a step of a case with `sources` sources; solves for the displacement."""
     setup = stage.setup
     temperature = setup.nodal_temperature(step.state)
-    displacement = setup.displacement(step)
+    # Of heat alone there is none.
+    displacement = np.zeros((stage.nodes.size, 3))
+    if setup.case.displacement is not None:
+        at = setup.spaces.displacement.nodal_dofs[0][stage.nodes]
+        displacement = setup.displacement(step).reshape(-1, 3)[at]
     return Fields(
         time=setup.machine.thermal.step * step.state.index,
         heat=step.inputs[:sources],
         temperature=temperature[setup.spaces.heat.nodal_dofs[0][stage.nodes]],
-        displacement=displacement.reshape(-1, 3)[
-            setup.spaces.displacement.nodal_dofs[0][stage.nodes]
-        ],
+        displacement=displacement,
         pressure=step.state.pressure,
     )
 

@@ -148,6 +148,11 @@ def draw_film(
         _check_from_rest(source, response)
     else:
         case = read_case(source)
+    if case.displacement is None:
+        raise InputError(
+            f"{source}: heat alone, so no film; use --show {Show.temperature} without --film, or "
+            "add [displacement]"
+        )
     if show is not None:
         _check_joints(source, case, show)
     if case.axes:
@@ -171,6 +176,11 @@ def _check_from_rest(source: Path, response: xr.Dataset) -> None:
 
 
 def _check_joints(source: Path, case: Case, show: Show) -> None:
+    if case.displacement is None and show in (Show.deformation, Show.pressure, Show.pressures):
+        raise InputError(
+            f"{source}: heat alone, so no {show}; use --show {Show.temperature}, or add "
+            "[displacement]"
+        )
     if show in (Show.pressure, Show.pressures) and not case.joints:
         raise InputError(
             f"{source}: no joints, so no contact pressure; use --show {Show.temperature}"

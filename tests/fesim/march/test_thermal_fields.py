@@ -5,6 +5,8 @@ import pytest
 from bars import two_bars
 from hypothesis import given
 from hypothesis import strategies as st
+from in_process import run
+from nested_toml import as_toml
 from repository import ROOT
 
 from calibrate.drivable import check_drivable
@@ -332,6 +334,10 @@ def test_heat_alone_is_marched_as_with_deformation_and_needs_no_supports(tmp_pat
     assert "svg" in alone._repr_html_()
     with pytest.raises(InputError, match="the case asks for heat alone"):
         setup.field  # noqa: B018 - it raises
+    (tmp_path / "alone.toml").write_text(as_toml(data | {"supports": {}}))
+    for show, code in (("temperature", 0), ("deformation", 2), ("pressure", 2), ("pressures", 2)):
+        picture = tmp_path / f"{show}.png"
+        assert run("view", tmp_path / "alone.toml", "--show", show, "--out", picture) == code
 
 
 def test_what_needs_a_deformation_says_so_without_one(tmp_path):
