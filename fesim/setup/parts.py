@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -142,27 +143,27 @@ def _check_walls(case: Case) -> None:
 def check_names(case: Case, structure: Structure) -> None:
     """Raise InputError if a support, load or material of the case has an unknown name."""
     body_materials(case, structure)
-    for name in case.convection_W_m2K:
-        structure.surface(name, "convection_W_m2K")
-    for name in case.radiation:
-        structure.surface(name, "radiation")
-    for cavity, section in case.cavities.items():
-        for name in section.surfaces:
-            structure.surface(name, f"cavities.{cavity}.surfaces")
-    for name in [*fixed_surfaces(case), *case.supports.symmetry]:
-        structure.surface(name, "supports")
-    for name in case.supports.springs:
-        structure.surface(name, "supports.springs")
-    for name in case.held_temperatures:
-        structure.surface(name, "held_temperatures")
+    surfaces: dict[str, Iterable[str]] = {
+        "convection_W_m2K": case.convection_W_m2K,
+        "radiation": case.radiation,
+        **{f"cavities.{name}.surfaces": one.surfaces for name, one in case.cavities.items()},
+        "supports": [*fixed_surfaces(case), *case.supports.symmetry],
+        "supports.springs": case.supports.springs,
+        "held_temperatures": case.held_temperatures,
+    }
+    for where, names in surfaces.items():
+        for name in names:
+            structure.surface(name, where)
     _check_walls(case)
     heat_sources(case, structure)
     held_profiles(case)
     read_initial_temperature(case)
     mechanical_loads(case, structure)
-    for name in case.output.stress_probes:
-        if name not in structure.probes:
-            raise unknown_name("probe", name, structure.probes, "output.stress_probes")
-    for name in measured_points(case):
-        if name not in structure.probes:
-            raise unknown_name("probe", name, structure.probes, "displacement")
+    points = {
+        "output.stress_probes": case.output.stress_probes,
+        "displacement": measured_points(case),
+    }
+    for where, probes in points.items():
+        for name in probes:
+            if name not in structure.probes:
+                raise unknown_name("probe", name, structure.probes, where)
