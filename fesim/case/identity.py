@@ -126,12 +126,7 @@ def condensation_key(case: Case, digest: Digest = file_digest) -> str:
     """Return the digest of everything that `set_up` uses except loads and joint laws.
 
     Cases with equal keys share one condensation: `fesim.setup.machine.with_laws` makes the set-up
-    of one from that of another.
-
-    Parameters
-    ----------
-    case, digest
-        As for `case_id`.
+    of one from that of another. Arguments as for `case_id`.
     """
     return hashed(_condensed(case), digest)
 
@@ -140,12 +135,7 @@ def shared_key(case: Case, digest: Digest = file_digest) -> str:
     """Return the digest of everything that cases with a common set-up in a batch share.
 
     That is their condensation; for machines with axes, whose set-up includes laws, positions and
-    requested results, it is everything except the heat.
-
-    Parameters
-    ----------
-    case, digest
-        As for `case_id`.
+    requested results, it is everything except the heat. Arguments as for `case_id`.
     """
     if not case.axes:
         return condensation_key(case, digest)
@@ -156,10 +146,7 @@ def shared_key(case: Case, digest: Digest = file_digest) -> str:
 def thermal_key(case: Case, digest: Digest = file_digest) -> str:
     """Return the digest of everything that the thermal modes depend on, for `fesim.cache`.
 
-    Parameters
-    ----------
-    case, digest
-        As for `case_id`.
+    Arguments as for `case_id`.
     """
     return hashed(_structure(case), digest)
 
@@ -167,12 +154,8 @@ def thermal_key(case: Case, digest: Digest = file_digest) -> str:
 def elasticity_key(case: Case, digest: Digest = file_digest) -> str:
     """Return the digest of everything that the elastic condensation depends on, for `fesim.cache`.
 
-    Heat sources, conduction, convection and temperature probes are not part of it.
-
-    Parameters
-    ----------
-    case, digest
-        As for `case_id`.
+    Heat sources, conduction, convection and temperature probes are not part of it. Arguments as for
+    `case_id`.
     """
     data = _structure(case)
     data["bolts"] = bolt_places(case)
