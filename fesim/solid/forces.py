@@ -9,8 +9,8 @@ import numpy as np
 from skfem import CellBasis, DiscreteField, LinearForm
 from skfem.assembly.form.form import FormExtraParams
 
-from fesim.solid.heat import flux_form, surface_basis
-from fesim.solid.materials import Material, by_cell
+from fesim.solid.heat import cell_field, flux_form, surface_basis, weighted_flux_form
+from fesim.solid.materials import Material
 from fesim.solid.spaces import Spaces
 from meshes.structure import Structure
 from thermojoint.artefacts.arrays import Array
@@ -57,12 +57,6 @@ def pressure_form(v: DiscreteField, w: FormExtraParams) -> Array:
     return -w.n[w["i"]] * v
 
 
-@LinearForm
-def mass_form(v: DiscreteField, w: FormExtraParams) -> Array:
-    """Mass assigned to a node: (rho, v)."""
-    return w["value"] * v
-
-
 def nodal_forces(
     structure: Structure, spaces: Spaces, materials: dict[str, Material], loads: Sequence[Load]
 ) -> Array:
@@ -96,7 +90,5 @@ def _by_direction(
         on = surface_basis(structure, basis, load.surface)
         return [load.pressure * pressure_form.assemble(on, i=i) for i in range(3)]
     density = {name: m.density if name in load.bodies else 0.0 for name, m in materials.items()}
-    values = by_cell(structure, density)[:, None]
-    field = DiscreteField(np.broadcast_to(values, basis.dx.shape))
-    mass = mass_form.assemble(basis, value=field)
+    mass = weighted_flux_form.assemble(basis, value=cell_field(structure, density, basis))
     return [component * mass for component in load.acceleration]

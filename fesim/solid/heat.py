@@ -131,7 +131,7 @@ def flux_form(v: DiscreteField, w: FormExtraParams) -> Array:
 
 @LinearForm
 def weighted_flux_form(v: DiscreteField, w: FormExtraParams) -> Array:
-    """Heat of a given density, on a surface or in a volume: (q, v)."""
+    """Heat or mass of a given density, on a surface or in a volume: (q, v)."""
     return w["value"] * v
 
 
@@ -182,11 +182,7 @@ def heat_operators(
         load = _heat_load(structure, basis, source)
         inputs[:, column] = source.power * load / load.sum()
     inputs[:, layout.ambient] = np.asarray(convection.sum(axis=1)).ravel()
-    nodes, surface = _held_unknowns(structure, basis, list(loads.held))
-    pattern = np.zeros((nodes.size, layout.count))
-    pattern[np.arange(nodes.size), layout.held_columns.start + surface] = _held_factors(
-        basis, loads.held, nodes, surface
-    )
+    nodes, pattern = _held_unknowns(structure, basis, loads.held, layout)
     return HeatOperators(
         csr_array(capacity),
         csr_array(conduction),
@@ -238,43 +234,30 @@ def _heat_load(structure: Structure, basis: CellBasis, source: HeatSource) -> Ar
     return load
 
 
-def _held_factors(
-    basis: CellBasis,
-    held: Mapping[str, OfPosition | None],
-    nodes: NDArray[np.int64],
-    surface: NDArray[np.int64],
-) -> Array:
-    """Factor of each held unknown (h,) on the temperature of its surface, given by number (h,)."""
-    factors = np.ones(nodes.size)
-    for number, profile in enumerate(held.values()):
-        if profile is not None:
-            own = surface == number
-            factors[own] = profile(basis.doflocs[:, nodes[own]])
-    return factors
-
-
 def _heated(structure: Structure, basis: CellBasis, source: HeatSource) -> AbstractBasis:
     if source.surface is not None:
         return surface_basis(structure, basis, source.surface)
     cells = structure.body(source.body or "", "heat operators")
-    return CellBasis(
-        structure.mesh,
-        basis.elem,
-        basis.mapping,
-        elements=cells,
-        intorder=2 * basis.elem.maxdeg,
-    )
+    order = 2 * basis.elem.maxdeg
+    return CellBasis(structure.mesh, basis.elem, basis.mapping, elements=cells, intorder=order)
 
 
 def _held_unknowns(
-    structure: Structure, basis: CellBasis, held: Sequence[str]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Unknowns on the held surfaces, and the number of the surface of each."""
+    structure: Structure,
+    basis: CellBasis,
+    held: Mapping[str, OfPosition | None],
+    layout: InputLayout,
+) -> tuple[NDArray[np.int64], Array]:
+    """Unknowns (h,) on the held surfaces, and their temperature (h, k) per unit of each input."""
     on = [basis.get_dofs(structure.surface(name, "heat operators")).all() for name in held]
-    nodes = np.concatenate([np.empty(0, dtype=np.int64), *on])
-    surface = np.repeat(np.arange(len(on)), [len(part) for part in on])
-    unique, first = np.unique(nodes, return_index=True)
-    return unique, surface[first]
+    number = np.repeat(np.arange(len(on)), [len(part) for part in on])
+    nodes, first = np.unique(np.concatenate([np.empty(0, np.int64), *on]), return_index=True)
+    pattern = np.zeros((nodes.size, layout.count))
+    for surface, profile in enumerate(held.values()):
+        own = number[first] == surface
+        factor = 1.0 if profile is None else profile(basis.doflocs[:, nodes[own]])
+        pattern[own, layout.held_columns.start + surface] = factor
+    return nodes, pattern
 
 
 def surface_basis(structure: Structure, basis: CellBasis, surface: str) -> FacetBasis:
