@@ -206,11 +206,7 @@ def upper_triangle(matrix: csr_array) -> csr_array:
 
 def symmetric_product(upper: csr_array, vectors: Array) -> Array:
     """Multiply a symmetric matrix, given by its upper triangle, by vectors."""
-    return _product(upper, upper.diagonal(), vectors)
-
-
-def _product(upper: csr_array, diagonal: Array, vectors: Array) -> Array:
-    return np.asarray(upper @ vectors + upper.T @ vectors - (vectors.T * diagonal).T)
+    return np.asarray(upper @ vectors + upper.T @ vectors - (vectors.T * upper.diagonal()).T)
 
 
 def symmetric(upper: csr_array) -> csr_array:
@@ -262,10 +258,10 @@ def _product_in_parts(upper: csr_array, vectors: Array) -> Array:
 
 def _products(upper: csr_array, vectors: Array) -> Iterator[tuple[tuple[slice, slice], Array]]:
     """A few columns at a time: all at once would need several times the memory of the vectors."""
-    diagonal, width = upper.diagonal(), max(1, AT_ONCE // len(vectors))
+    width = max(1, AT_ONCE // len(vectors))
     for first in range(0, vectors.shape[1], width):
         part = np.s_[:, first : first + width]
-        yield part, _product(upper, diagonal, vectors[part])
+        yield part, symmetric_product(upper, vectors[part])
 
 
 def _is_rounding(factor: Factor, solution: Array, right_side: Array, residual: float) -> bool:
