@@ -268,7 +268,7 @@ def described(constraints: Constraints, motions: Array) -> str:
     alone = [i for i in moving if _only(motions, [i]).shape[1]]
     members = [alone[0]] if alone else [i for i in moving if group[i] == group[moving[0]]]
     names = [constraints.pieces[i] for i in members]
-    who = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]} together"
+    who = _list(names) + (" together" if len(names) > 1 else "")
     own = _only(motions, members)[6 * members[0] : 6 * members[0] + 6]
     shift = own[:3] @ _null(own[3:])
     ways = []
