@@ -44,7 +44,7 @@ def bulges(mesh: Mesh, facets: NDArray[np.int64]) -> Array:
         (np.ones(nodes.size), (nodes.ravel(), np.repeat(np.arange(count), ends))),
         shape=(mesh.nvertices, count),
     )
-    own = np.flatnonzero(np.isin(boundary, facets))
+    own = np.searchsorted(boundary, facets)
     corner = np.repeat(own, ends)
     around = at[nodes[own].ravel()].tocoo()
     alike = np.einsum("pi,pi->p", normal[corner[around.row]], normal[around.col]) > ALIKE
@@ -56,8 +56,7 @@ def bulges(mesh: Mesh, facets: NDArray[np.int64]) -> Array:
     turned = np.einsum("fei,fei->fe", np.roll(slopes, -1, axis=1) - slopes, edges)
     # The middle of an arc is an eighth of this above its chord, and the mean over a facet is a
     # third of the sum over its edges.
-    found = dict(zip(boundary[own].tolist(), (turned.sum(axis=1) / 24.0).tolist(), strict=True))
-    return np.array([found[facet] for facet in facets.tolist()])
+    return np.asarray(turned.sum(axis=1) / 24.0)
 
 
 def shape_error_rows(
