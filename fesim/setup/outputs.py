@@ -10,7 +10,7 @@ from fesim.setup.constraints import fixed_surfaces
 from fesim.setup.discretised import Discretised
 from fesim.setup.loads import spring_stiffnesses
 from fesim.solid.condensation import DisplacementField
-from fesim.solid.elasticity import DIRECTIONS
+from fesim.solid.elasticity import held_directions
 from fesim.solid.outputs import (
     MechanicalOutputs,
     Supports,
@@ -50,11 +50,7 @@ def mechanical_outputs(
         Nodal forces of the loads, N.
     """
     case, structure, spaces = whole.case, whole.parts.structure, whole.spaces
-    every = range(len(DIRECTIONS))
-    held = [
-        *((name, tuple(every)) for name in fixed_surfaces(case)),
-        *((name, (DIRECTIONS.index(axis),)) for name, axis in case.supports.symmetry.items()),
-    ]
+    held = held_directions(fixed_surfaces(case), case.supports.symmetry)
     springs = list(spring_stiffnesses(case, structure).items())
     supports = Supports(held, springs)
     rows = reaction_rows(structure, spaces, field, whole.springs, forces, supports)

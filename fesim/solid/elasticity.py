@@ -6,7 +6,7 @@ connected pieces of the mesh.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -215,10 +215,15 @@ def held_unknowns(
 ) -> NDArray[np.int64]:
     """Constrained unknowns; as for `elastic_pieces`."""
     held = [np.empty(0, dtype=np.int64)]
-    for name in fixed:
+    for name, directions in held_directions(fixed, symmetry):
         dofs = spaces.displacement.get_dofs(structure.surface(name, "supports")).all()
-        held.extend(3 * dofs + i for i in range(3))
-    for name, direction in symmetry.items():
-        dofs = spaces.displacement.get_dofs(structure.surface(name, "supports")).all()
-        held.append(3 * dofs + DIRECTIONS.index(direction))
+        held.extend(3 * dofs + i for i in directions)
     return np.unique(np.concatenate(held))
+
+
+def held_directions(
+    fixed: Sequence[str], symmetry: Mapping[str, str]
+) -> list[tuple[str, tuple[int, ...]]]:
+    """Return the supported surfaces with the indices of their constrained directions."""
+    planes = [(name, (DIRECTIONS.index(direction),)) for name, direction in symmetry.items()]
+    return [*((name, (0, 1, 2)) for name in fixed), *planes]

@@ -22,7 +22,7 @@ from scipy.sparse.csgraph import connected_components
 from skfem import Mesh
 
 from fesim.solid.bolts import Bolt
-from fesim.solid.elasticity import DIRECTIONS
+from fesim.solid.elasticity import DIRECTIONS, held_directions
 from meshes.inspection import pieces
 from meshes.pairing import EDGE, PairedJoint, outward_areas
 from meshes.structure import Structure
@@ -160,8 +160,7 @@ def constraints_of(
     low, high = mesh.p.min(axis=1), mesh.p.max(axis=1)
     frame = Frame(0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low)))
     held = [
-        *((name, (0, 1, 2)) for name in fixed),
-        *((name, (DIRECTIONS.index(direction),)) for name, direction in symmetry.items()),
+        *held_directions(fixed, symmetry),
         *(
             (name, tuple(i for i in range(3) if stiffness[i] > 0.0))
             for name, stiffness in springs.items()
