@@ -123,7 +123,7 @@ def cell_gradients(
     element: Element,
     quadrature: tuple[Array, Array],
     cells: NDArray[np.int64],
-    order: NDArray[np.int64],
+    order: NDArray[np.int64] | None = None,
 ) -> Iterator[tuple[slice, CellGradients]]:
     """Yield the gradients of `AT_ONCE` cells at a time, and the slice of these cells.
 
@@ -137,13 +137,13 @@ def cell_gradients(
         Points and weights of the reference cell.
     cells : ndarray of int, shape (c,)
         The cells.
-    order : ndarray of int, shape (functions, c)
-        Order of each cell's functions in the result.
+    order : ndarray of int, shape (functions, c), optional
+        Order of each cell's functions in the result; default that of the element.
     """
     points, weights = quadrature
     corners = mesh.dofs.element_dofs
     _, geometry = reference_shapes(mesh.elem(), points, len(corners))
-    _, slopes = reference_shapes(element, points, len(order))
+    _, slopes = reference_shapes(element, points, len(element.doflocs))
     for start in range(0, len(cells), AT_ONCE):
         part = slice(start, min(start + AT_ONCE, len(cells)))
         places = mesh.doflocs[:, corners[:, cells[part]]]
@@ -159,5 +159,6 @@ def cell_gradients(
         volume = (first * rows[0]).sum(axis=0)
         inverse = rows / volume
         gradient = np.einsum("fjq,jicq->cfiq", slopes, inverse, optimize=True)
-        gradient = np.take_along_axis(gradient, order[:, part].T[:, :, None, None], axis=1)
+        if order is not None:
+            gradient = np.take_along_axis(gradient, order[:, part].T[:, :, None, None], axis=1)
         yield part, CellGradients(np.ascontiguousarray(gradient), np.abs(volume) * weights)

@@ -200,6 +200,4 @@ def _batches(
     basis: CellBasis, quadrature: tuple[Array, Array]
 ) -> Iterator[tuple[slice, CellGradients]]:
     """Gradients of all cells at some points, with functions in the order of the basis."""
-    cells: NDArray[np.int64] = np.arange(basis.nelems)
-    order = np.tile(np.arange(basis.Nbfun)[:, None], (1, len(cells)))
-    return cell_gradients(basis.mesh, basis.elem, quadrature, cells, order)
+    return cell_gradients(basis.mesh, basis.elem, quadrature, np.arange(basis.nelems))

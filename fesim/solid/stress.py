@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from skfem import CellBasis
 
+from fesim.solid.element_matrices import reference_shapes
 from fesim.solid.materials import Material, elastic_constants
 from fesim.solid.spaces import Spaces, local_coordinates, shape_values
 from meshes.structure import Structure
@@ -126,8 +127,7 @@ def corner_stresses(
             for point in best.T
         ]
     )
-    first = spaces.heat.elem
-    shapes = np.stack([first.lbasis(best, i)[0] for i in range(len(best.T))])
+    shapes, _ = reference_shapes(spaces.heat.elem, best, best.shape[1])
     # Values at the points are shapes^T times those at the corners.
     return np.asarray(np.einsum("pc,pnk->cnk", np.linalg.inv(shapes), inside))
 

@@ -133,11 +133,8 @@ def soft_bodies(
     found = []
     for name, factor in factors.items():
         cells, material = structure.bodies[name], materials[name]
-        order = np.tile(np.arange(basis.Nbfun)[:, None], (1, len(cells)))
-        parts = [
-            part
-            for _, part in cell_gradients(basis.mesh, basis.elem, spaces.quadrature, cells, order)
-        ]
+        batches = cell_gradients(basis.mesh, basis.elem, spaces.quadrature, cells)
+        parts = [part for _, part in batches]
         gradient = np.concatenate([part.gradient for part in parts])
         lame, shear = material.lame
         found.append(
