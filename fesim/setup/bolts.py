@@ -80,7 +80,10 @@ def _bolt(case: Case, structure: Structure, name: str, section: BoltSection) -> 
             "one of them"
         )
     head, thread = (
-        _patch(structure, e, between / distance, f"{where}.{n}") for n, e in _ends(section)
+        _disc(structure, e, between / distance, f"{where}.{n}")
+        if e.surface is None
+        else _surface_patch(structure, e.surface, f"{where}.{n}")
+        for n, e in _ends(section)
     )
     along = np.where(mirrored, 0.0, head.centre - thread.centre)
     length = 1e-3 * (section.clamped_length_mm or 1e3 * distance)
@@ -132,12 +135,6 @@ def _anchor(structure: Structure, end: BoltEndSection, where: str) -> Array:
     if end.position_mm is not None:
         return 1e-3 * np.array(end.position_mm)
     return _surface_patch(structure, end.surface or "", where).centre
-
-
-def _patch(structure: Structure, end: BoltEndSection, axis: Array, where: str) -> Patch:
-    if end.surface is not None:
-        return _surface_patch(structure, end.surface, where)
-    return _disc(structure, end, axis, where)
 
 
 def _surface_patch(structure: Structure, name: str, where: str) -> Patch:
