@@ -18,9 +18,10 @@ from fesim.solid.substructures import (
     FactorisedStructure,
     Substructure,
     TieCondensation,
-    condense_ties,
     factorised_structure,
     substructures,
+    tied,
+    untied,
 )
 from meshes.pairing import PairedJoint
 from meshes.structure import Structure
@@ -60,7 +61,7 @@ class ElasticStructure:
 
     def condense(self, each: Iterable[Substructure], probes: csr_array) -> TieCondensation:
         """Condense the pieces on joints and displacement probes (k, n)."""
-        return condense_ties(each, self.joints.gap, self.springs, probes, self.shape[1])
+        return tied(untied(each, self.joints.gap, self.springs, probes, self.shape[1]))
 
     def field(self, condensed: TieCondensation) -> DisplacementField:
         """Return full displacements on demand."""

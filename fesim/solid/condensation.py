@@ -22,9 +22,10 @@ from fesim.solid.linear_solver import Factor, checked_solve, factorise
 from fesim.solid.substructures import (
     FactorisedStructure,
     TieCondensation,
-    condense_ties,
     factorised_structure,
     tie_rows,
+    tied,
+    untied,
 )
 from thermojoint.artefacts.arrays import Array
 
@@ -37,8 +38,7 @@ class HeatBalance:
     """Heat balance summed over all nodes: in = stored + convected.
 
     Heat enters through the inputs and at the h held unknowns, where it is the residual of their
-    rows:
-    after T - before T_before - drive u + flow j.
+    rows: after T - before T_before - drive u + flow j.
     """
 
     #: Shape (n,): column sums of M (J/K) and H (W/K).
@@ -274,8 +274,8 @@ def condense_elasticity(
     area = np.tile(joints.area, 3)
     shape = elastic.thermal_load.shape
     structure = factorised_structure(elastic.pieces(), joints.gap, area * reference, shape, solver)
-    condensed = condense_ties(
-        structure.substructures, joints.gap, area * reference, csr_array(probes), shape[1]
+    condensed = tied(
+        untied(structure.substructures, joints.gap, area * reference, csr_array(probes), shape[1])
     )
     return (
         elastic_condensation(condensed, joints.area, reference),

@@ -236,14 +236,14 @@ class _Influence:
     thermal: Array
 
 
-def condense_ties(
+def untied(
     pieces: Iterable[Substructure],
     gap: csr_array,
     springs: Array,
     probes: csr_array,
     temperatures: int,
-) -> TieCondensation:
-    """Condense a structure on its ties and probes.
+) -> UntiedCondensation:
+    """Condense pieces on their ties and probes without coupling them.
 
     Parameters
     ----------
@@ -257,23 +257,7 @@ def condense_ties(
         Rows of the probed displacements.
     temperatures : int
         n_heat.
-
-    Raises
-    ------
-    InputError
-        Neither supports nor joints constrain the structure.
     """
-    return tied(untied(pieces, gap, springs, probes, temperatures))
-
-
-def untied(
-    pieces: Iterable[Substructure],
-    gap: csr_array,
-    springs: Array,
-    probes: csr_array,
-    temperatures: int,
-) -> UntiedCondensation:
-    """Condense pieces on their ties and probes without coupling them; as `condense_ties`."""
     # No loop: its variable would keep a factor alive while the next one is made.
     influences = list(map(partial(_influence, gap=gap, probes=probes), pieces))
     springs = np.concatenate([springs, *(-influence.anchors for influence in influences)])

@@ -153,7 +153,7 @@ def test_a_factor_is_gone_before_the_next_one_is_made(monkeypatch):
     )
     each = substructures.substructures(made.elastic.pieces(), gap, springs)
     heat = made.parts.spaces.heat.N
-    found = substructures.condense_ties(each, gap, springs, made.probes, heat)
+    found = substructures.tied(substructures.untied(each, gap, springs, made.probes, heat))
     assert most == [1, 1]
     np.testing.assert_allclose(
         found.compliance, made.machine.contact.elastic.compliance, rtol=0.0, atol=1e-20
