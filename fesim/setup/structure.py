@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 
-from fesim.case.schema import CandidatesSection, Case, MillingMachineSection
+from fesim.case.schema import CandidatesSection, Case, MeshSection, MillingMachineSection
 from fesim.case.thermal_sections import MaterialSection
 from fesim.solid.materials import Material
 from fesim.solid.spaces import cells_at
@@ -62,19 +62,9 @@ def build_structure(case: Case) -> Structure:
         raise InputError(
             f"joints: the structure's joint {name!r} has no section; add [joints.{as_key(name)}]"
         )
-    factor = (
-        structure.symmetry_factor
-        if isinstance(section, MillingMachineSection)
-        else section.symmetry_factor
-    )
-    return Structure(
-        mesh=structure.mesh,
-        bodies=structure.bodies,
-        surfaces=structure.surfaces,
-        joints=joints,
-        probes=structure.probes | probes,
-        symmetry_factor=factor,
-    )
+    if isinstance(section, MeshSection):
+        structure = replace(structure, symmetry_factor=section.symmetry_factor)
+    return replace(structure, joints=joints, probes=structure.probes | probes)
 
 
 def _side(case: Case, name: str) -> str:
