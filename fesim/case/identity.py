@@ -158,7 +158,10 @@ def elasticity_key(case: Case, digest: Digest = file_digest) -> str:
     `case_id`.
     """
     data = _structure(case)
-    data["bolts"] = bolt_places(case)
+    # Other data of bolts need no factorisation.
+    data["bolts"] = [
+        (name, bolt.model_dump(include={"head", "thread"})) for name, bolt in case.bolts.items()
+    ]
     for section in _HEAT:
         del data[section]
     data["materials"] = {
@@ -186,13 +189,6 @@ def asked(case: Case) -> dict[str, Any]:
     """Return the requested force and stress outputs of a case, with positions."""
     places = {name: case.probes[name] for name in case.output.stress_probes if name in case.probes}
     return {"output": case.output.model_dump(exclude={"snapshots_s"}), "places": places}
-
-
-def bolt_places(case: Case) -> list[tuple[str, dict[str, Any]]]:
-    """Return the positions of a case's bolts in order; their other data need no factorisation."""
-    return [
-        (name, bolt.model_dump(include={"head", "thread"})) for name, bolt in case.bolts.items()
-    ]
 
 
 def set_up_differently(one: Case, other: Case) -> str | None:
