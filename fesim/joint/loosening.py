@@ -103,9 +103,7 @@ class Watch:
         """
         if surely_held(self.watched, watch_work(self.watched), pressure, tangent):
             return
-        motions = self._unheld(pressure > self.watched.table[:, _LEAST], tangent)
-        if motions.shape[1]:
-            raise _loose(self.constraints, motions)
+        self._refuse(self._unheld(pressure > self.watched.table[:, _LEAST], tangent))
 
     def explain(self, traction: Traction) -> None:
         """Raise ConvergenceError if a body is coming loose in a state without a next one.
@@ -116,9 +114,8 @@ class Watch:
         slides = np.hypot(*traction.value[1:]) > (1.0 - SPARE) * self.friction * pressure
         tangent, shears = traction.tangent.copy(), [ALONG, CROSS, ACROSS]
         tangent[shears] = np.where(slides, 0.0, tangent[shears])
-        motions = self._unheld(pressure > SPARE / NOTHING * self.watched.table[:, _LEAST], tangent)
-        if motions.shape[1]:
-            raise _loose(self.constraints, motions)
+        pressed = pressure > SPARE / NOTHING * self.watched.table[:, _LEAST]
+        self._refuse(self._unheld(pressed, tangent))
 
     def _unheld(self, pressed: NDArray[np.bool_], tangent: Array) -> Array:
         normals, *tangents = self.constraints.directions
@@ -132,6 +129,15 @@ class Watch:
         return self.constraints.unheld(
             np.concatenate([own, element]), np.vstack([normals[own], along])
         )
+
+    def _refuse(self, motions: Array) -> None:
+        """Raise ConvergenceError if there is a free motion, (6 p, motions)."""
+        if motions.shape[1]:
+            raise ConvergenceError(
+                "a body has come loose: joints that are open or slide no longer keep "
+                f"{described(self.constraints, motions)}; hold it in [supports], or raise "
+                "preload_MPa, friction_coefficient or the number of contact elements"
+            )
 
 
 def watch_of(constraints: Constraints, laws: Sequence[tuple[JointLaw, int]]) -> Watch:
@@ -182,14 +188,6 @@ def _needed(centres: Array) -> int:
     """One more than the dimension spanned by contact elements (k, 3), at most three."""
     sizes = np.linalg.svd(centres - centres.mean(axis=0), compute_uv=False)
     return 1 + min(2, int(np.count_nonzero(sizes > 1e-6 * np.abs(centres).max())))
-
-
-def _loose(constraints: Constraints, motions: Array) -> ConvergenceError:
-    return ConvergenceError(
-        f"a body has come loose: joints that are open or slide no longer keep "
-        f"{described(constraints, motions)}; hold it in [supports], or raise preload_MPa, "
-        "friction_coefficient or the number of contact elements"
-    )
 
 
 @compiled
