@@ -73,10 +73,11 @@ class TieCondensation:
     probe_thermal: Array
 
 
-def _constrained(
-    piece: ElasticPiece, gap: csr_array, springs: Array
-) -> tuple[csr_array, NDArray[np.int64], Callable[[Factor], Substructure]]:
-    """Kd of a piece, anchored if needed, its free unknowns, and a function of the factor."""
+#: Kd of a piece, anchored if needed, its free unknowns, and a function of the factor.
+_Constrained = tuple[csr_array, NDArray[np.int64], Callable[[Factor], Substructure]]
+
+
+def _constrained(piece: ElasticPiece, gap: csr_array, springs: Array) -> _Constrained:
     free = np.flatnonzero(piece.free)
     stiffness = piece.stiffness
     if free.size < piece.free.size:
@@ -101,10 +102,7 @@ def _constrained(
     return stiffness, free, with_factor
 
 
-def _factorised(
-    constrained: tuple[csr_array, NDArray[np.int64], Callable[[Factor], Substructure]],
-    solver: str | None,
-) -> Substructure:
+def _factorised(constrained: _Constrained, solver: str | None) -> Substructure:
     stiffness, places, with_factor = constrained
     return with_factor(factorise_upper(stiffness, "stiffness", solver, places))
 
