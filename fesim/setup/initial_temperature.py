@@ -135,8 +135,7 @@ def _carried_over(snapshot: Snapshot, structure: Structure, basis: CellBasis) ->
         temperatures[nodes[inside]] = rows @ values
         if not inside.all():
             corners = np.unique(snapshot.mesh.t[:, own])
-            outside = points[:, ~inside]
-            next_to = _nearest(snapshot, corners, outside, name)
+            next_to = _nearest(snapshot, corners, points[:, ~inside], name)
             temperatures[nodes[~inside]] = snapshot.temperature[next_to]
     return temperatures
 
