@@ -114,7 +114,7 @@ def reduce_heat(
         The error stays above the tolerance with the largest number of shifts.
     """
     capacity, drives, outputs, fields = system.capacity, system.drives, system.outputs, system.start
-    stored = capacity[:, None] * fields
+    stored, what = capacity[:, None] * fields, "reduction of the heat equation"
     upper = upper_triangle(csr_array(system.conduction))
     factors = shifted_factors(upper, capacity / longest, "shifted heat equation", solver)
     exact = _unit_march(lambda added: factors(added).solve, system, shortest)
@@ -127,27 +127,16 @@ def reduce_heat(
         rates = np.maximum(rates, 0.0)
         reduced = _projected(system, modes, rates)
         between = np.sqrt(shifts[1:] * shifts[:-1])[:: max(1, (count - 1) // CHECKED)]
-        error = max(
-            *(
-                _transfer_error(
-                    outputs
-                    @ checked_solve(
-                        factors(shift * capacity),
-                        np.hstack([drives, shift * stored]),
-                        "reduction of the heat equation",
-                    ),
-                    reduced,
-                    shift,
-                )
-                for shift in between
-            ),
-            _largest(exact, _unit_march(_divided(rates), reduced, shortest)),
-        )
+        error = _largest(exact, _unit_march(_divided(rates), reduced, shortest))
+        for shift in between:
+            driving = np.hstack([drives, shift * stored])
+            answer = checked_solve(factors(shift * capacity), driving, what)
+            error = max(error, _transfer_error(outputs @ answer, reduced, shift))
         if error <= 1.0:
             return ReducedHeat(modes, rates, error, shifts)
         cut /= 10.0
     raise ConvergenceError(
-        f"reduction of the heat equation: an output is still off by {error:.2g} times its "
+        f"{what}: an output is still off by {error:.2g} times its "
         'tolerance; use thermal = "full" in [march]'
     )
 
