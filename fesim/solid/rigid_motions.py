@@ -99,17 +99,11 @@ class Constraints:
         )
         sizes = np.append(sizes, np.zeros(len(motions) - len(sizes)))
         slack = max([HELD, *(joint.slack for joint in joints)])
-        return (
-            np.array(
-                [
-                    motion
-                    for size, motion in zip(sizes, motions, strict=True)
-                    if size <= HELD or (size <= slack and self._slips(motion, joints))
-                ]
-            )
-            .reshape(-1, len(motions))
-            .T
-        )
+        free = [
+            size <= HELD or (size <= slack and self._slips(motion, joints))
+            for size, motion in zip(sizes, motions, strict=True)
+        ]
+        return np.asarray(motions[free].T)
 
     def _slips(self, motion: Array, joints: Sequence[_Between]) -> bool:
         """Whether only the apparent stiffness of facets resists a motion."""

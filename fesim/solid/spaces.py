@@ -228,8 +228,7 @@ def _holding(
 ) -> NDArray[np.int64]:
     """Which of the candidates (n, c) contains each point (n, 3), or -1, shape (n,)."""
     each = np.repeat(points, candidates.shape[1], axis=0).T
-    outside = _outside(mesh, each, candidates.ravel())
-    outside = outside.reshape(candidates.shape)
+    outside = _outside(mesh, each, candidates.ravel()).reshape(candidates.shape)
     best = outside.argmin(axis=1)
     rows = np.arange(len(points))
     return np.where(outside[rows, best] <= LOCATE_SLACK, candidates[rows, best], -1)
