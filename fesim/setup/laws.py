@@ -119,19 +119,7 @@ def law_of(
     opening: NDArray[np.float64] | None = None,
     table: ConductanceTable | None = None,
 ) -> JointLaw:
-    """Law of a joint.
-
-    Parameters
-    ----------
-    section : JointSection
-        Section of the case.
-    conductivity : ndarray, shape (m,)
-        Harmonic conductivity at its contact elements, W/(m K).
-    opening : ndarray, shape (m,), optional
-        `initial_opening` of a joint without preload.
-    table : ConductanceTable, optional
-        `table_of` of a joint with a table.
-    """
+    """Law of a joint from its section, `joint_conductivity`, `initial_opening` and `table_of`."""
     closed = _closed_law(section)
     stiffness = -float(closed.slope(np.zeros(1))[0])
     friction = Friction(

@@ -40,14 +40,7 @@ def mechanical_outputs(
 ) -> MechanicalOutputs:
     """Condense the outputs that a case requests: three rows per support, six per stress probe.
 
-    Parameters
-    ----------
-    whole : Discretised
-        The case as finite elements.
-    field : DisplacementField
-        The factorised structure.
-    forces : ndarray, shape (n, l)
-        Nodal forces of the loads, N.
+    `forces` (n, l) are the nodal forces of the loads, N.
     """
     case, structure, spaces = whole.case, whole.parts.structure, whole.spaces
     held = held_directions(fixed_surfaces(case), case.supports.symmetry)

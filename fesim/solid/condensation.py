@@ -309,14 +309,8 @@ def displacement_field(
 def condense_loads(field: DisplacementField, forces: Array, probes: csr_array) -> LoadInfluence:
     """Condense mechanical loads on the joints with the same factorisations.
 
-    Parameters
-    ----------
-    field : DisplacementField
-        The factorised structure.
-    forces : ndarray, shape (n, l)
-        Nodal forces, from `fesim.solid.forces.nodal_forces`.
-    probes : scipy.sparse array, shape (k, n)
-        Rows of the probed displacements.
+    `forces` (n, l), N, are from `fesim.solid.forces.nodal_forces`; `probes` (k, n) are the rows of
+    the probed displacements.
     """
     moved = field.respond(forces, "mechanical loads")
     return LoadInfluence(field.gap @ moved, probes @ moved)

@@ -60,18 +60,9 @@ def pressure_form(v: DiscreteField, w: FormExtraParams) -> Array:
 def nodal_forces(
     structure: Structure, spaces: Spaces, materials: dict[str, Material], loads: Sequence[Load]
 ) -> Array:
-    """Return the nodal forces (n, l) of loads at factor one, N; unknown 3 i + c is direction c.
+    """Return the nodal forces (n, l) of l loads at factor one, N; unknown 3 i + c is direction c.
 
-    Parameters
-    ----------
-    structure : Structure
-        Mesh and names.
-    spaces : Spaces
-        Displacement space.
-    materials : dict
-        Body name to its material, for the density.
-    loads : sequence of Load
-        The l loads.
+    Of the bodies' materials, only the densities are used.
     """
     nodal = np.zeros((spaces.displacement_size, len(loads)))
     for column, load in enumerate(loads):

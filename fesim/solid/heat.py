@@ -147,20 +147,9 @@ def heat_operators(
     loads: ThermalLoads,
     joints: Sequence[PairedJoint] = (),
 ) -> HeatOperators:
-    """Assemble the heat operators.
+    """Assemble the heat operators on a temperature space, from the material of every body.
 
-    Parameters
-    ----------
-    structure : Structure
-        Mesh and names.
-    basis : skfem.CellBasis
-        Temperature space.
-    materials : dict
-        Body name to its material.
-    loads : ThermalLoads
-        Convection, sources and prescribed temperatures.
-    joints : sequence of PairedJoint
-        Joints, whose covered surfaces do not convect.
+    Surfaces do not convect where joints cover them.
 
     Raises
     ------

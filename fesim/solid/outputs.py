@@ -56,17 +56,7 @@ class MechanicalOutputs:
 def condense_outputs(
     field: DisplacementField, rows: OutputRows, forces: Array
 ) -> MechanicalOutputs:
-    """Solve the adjoints.
-
-    Parameters
-    ----------
-    field : DisplacementField
-        The factorised structure.
-    rows : OutputRows
-        Outputs.
-    forces : ndarray, shape (n, l)
-        Nodal forces of the loads, N.
-    """
+    """Solve the adjoints of outputs; `forces` (n, l) are the nodal forces of the loads, N."""
     adjoint = field.respond(rows.displacement.toarray().T, "mechanical outputs")
     load = field.structure.thermal_load
     return MechanicalOutputs(

@@ -116,16 +116,9 @@ def soft_bodies(
     materials: Mapping[str, Material],
     factors: Mapping[str, TemperatureFactor],
 ) -> tuple[SoftBody, ...]:
-    """Return the bodies with a factor on their modulus.
+    """Return the bodies with a factor on their modulus; `factors` are by their names.
 
-    Parameters
-    ----------
-    structure, spaces
-        Mesh and spaces.
-    materials : mapping
-        Material of every body, with the modulus at the middle of its factor.
-    factors : mapping
-        Body name to the factor on its modulus, if it has one.
+    `materials` are those of every body, with the modulus at the middle of its factor.
     """
     basis, heat = spaces.displacement, spaces.heat
     points = spaces.quadrature[0]
