@@ -142,17 +142,8 @@ def reversals(
 ) -> dict[int, NDArray[np.float64]]:
     """Return reversals of histories within a step, which the values at its ends do not show.
 
-    Parameters
-    ----------
-    histories : sequence of History
-        Factors of loads.
-    step, ends
-        As for `mean_over_steps`.
-
-    Returns
-    -------
-    dict of int to ndarray, shape (k,)
-        Index in `ends` to the times inside that step, s, in ascending order.
+    From an index in `ends` to the times (k,) inside that step, s, in ascending order; `step` and
+    `ends` as for `mean_over_steps`.
     """
     turning = [_turning(history) for history in histories]
     times, number = _within_steps(np.unique(np.concatenate([np.empty(0), *turning])), step)

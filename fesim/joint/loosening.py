@@ -273,16 +273,7 @@ def _stiff(watched: Watched, work: WatchWork, pressure: Array, tangent: Array) -
 def surely_held(watched: Watched, work: WatchWork, pressure: Array, tangent: Array) -> bool:
     """Whether nothing is checked, or a converged state certainly leaves no body loose.
 
-    Parameters
-    ----------
-    watched : Watched
-        `UNWATCHED`, or that of a `Watch`.
-    work : WatchWork
-        Work arrays.
-    pressure : ndarray, shape (m,)
-        Contact pressure, Pa.
-    tangent : ndarray, shape (6, m)
-        As in `fesim.joint.law.Traction`.
+    Contact pressure (m,), Pa, and tangent (6, m) as for `Watch.check`.
     """
     if watched.table.shape[0] == 0:
         return True

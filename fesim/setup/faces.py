@@ -27,14 +27,7 @@ def with_faces(
 ) -> tuple[Structure, dict[str, str]]:
     """Return a structure with a surface for the nearest face of each probe, and the faces' names.
 
-    Parameters
-    ----------
-    structure : Structure
-        Structure of the machine.
-    closed : iterable of str
-        Surfaces through which no heat enters: planes of symmetry, sides of joints.
-    probes : mapping of str to Probe
-        The thermometers.
+    No heat enters through `closed` surfaces: planes of symmetry, sides of joints.
     """
     mesh = structure.mesh
     shut = [np.empty(0, dtype=np.int64), *(structure.surfaces[name] for name in closed)]

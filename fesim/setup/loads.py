@@ -187,17 +187,9 @@ class MarchInputs:
         return rows
 
     def reversed_forces(self, ends: Array) -> dict[int, Array]:
-        """Return the forces at their reversals within a step.
+        """Return the forces at their reversals within the steps that end at `ends` (n,), s.
 
-        Parameters
-        ----------
-        ends : ndarray, shape (n,)
-            Ends of steps, s.
-
-        Returns
-        -------
-        dict of int to ndarray, shape (k, l)
-            Index in `ends` to the inputs after the thermal ones, in order of time.
+        From an index in `ends` to the inputs (k, l) after the thermal ones, in order of time.
         """
         turns = reversals(self.forces, self.step, ends)
         return {

@@ -88,12 +88,7 @@ def temperature_rows(basis: CellBasis, bolts: Sequence[Bolt]) -> csr_array:
 def bolt_springs(bolts: Sequence[Bolt], means: Array) -> BoltSprings:
     """Return b bolts as springs.
 
-    Parameters
-    ----------
-    bolts : sequence of Bolt
-        The b bolts.
-    means : ndarray, shape (b, n)
-        Their `temperature_rows`, or those times the basis of a reduced model.
+    `means` (b, n) are their `temperature_rows`, or those times the basis of a reduced model.
     """
     flexibility = np.array([1.0 / bolt.stiffness for bolt in bolts])
     growth = np.array([[bolt.growth] for bolt in bolts])

@@ -63,12 +63,8 @@ def thermal_growth(
 ) -> ThermalGrowth | None:
     """Return the expansion of bodies, or None if all of it is proportional to temperature.
 
-    Parameters
-    ----------
-    unknowns : dict
-        Body name to its temperature unknowns.
-    factors : dict
-        Body name to the factor on its coefficient of expansion, if it has one.
+    By body name: the temperature unknowns of all, and the factors on the coefficient of expansion
+    of those that have one.
 
     Raises
     ------
