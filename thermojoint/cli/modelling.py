@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from importlib.resources import as_file, files
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -277,7 +278,7 @@ def estimate(  # noqa: PLR0913 - the options of a command
                 given,
                 pieces if readings is None else beside(pieces, readings),
                 where,
-                lambda first: console.warn(plausibility.of_sample(first, where)),
+                partial(_warn_of_units, where=where),
                 cold,
             )
         if kind.paced and not kind.assembled(given):
@@ -439,7 +440,7 @@ def validate(  # noqa: PLR0913 - the options of a command
     A joint-aware model takes responses or logs, which are measured from the start of each run.
     """
     from estimator.judging import Conditions
-    from estimator.kind import Options
+    from estimator.kind import Cold, Options
     from estimator.registry import kind_of_file, started
     from thermojoint import console, plausibility
     from thermojoint.artefacts.log import joined
@@ -475,6 +476,9 @@ def validate(  # noqa: PLR0913 - the options of a command
             logs = {
                 name: joined(reported(log_pieces([path], renamed))) for name, path in named.items()
             }
+            for name, log in logs.items():
+                warn = partial(_warn_of_units, where=name)
+                next(kind.log(given, [log], name, warn, Cold()), None)
             figures = kind.judge_logs(given, logs)
             console.warn(_misread(logs, {str(row["axis"]) for row in figures["rows"]}))
             if picture:
@@ -500,6 +504,13 @@ def validate(  # noqa: PLR0913 - the options of a command
         printing.show_schemes(printer, schemes)
         printing.show_blocks(printer, figures["blocks"])
     console.wrote(out, picture)
+
+
+def _warn_of_units(first: Mapping[str, float], where: str) -> None:
+    """Warn of every temperature of a log's first row that probably has another unit."""
+    from thermojoint import console, plausibility
+
+    console.warn(plausibility.of_sample(first, where))
 
 
 def _misread(logs: Mapping[str, Log], judged: Collection[str]) -> list[str]:

@@ -501,8 +501,9 @@ def checkpoint_wal(path: Path) -> None:
 
 
 def layout_text(layout: Layout) -> str:
-    """Return a layout as JSON."""
-    return json.dumps(asdict(layout), sort_keys=True)
+    """Return a layout as JSON; of its details, what earlier versions stored as well."""
+    details = [(channel.name, channel.unit) for channel in layout.details]
+    return json.dumps(asdict(layout) | {"details": details}, sort_keys=True)
 
 
 def layout_from(text: str) -> Layout:

@@ -800,6 +800,11 @@ def test_a_log_judges_a_model_as_its_response_does(estimator, response, tmp_path
         found[name] = np.array([row["max_abs_error_um"] for row in judged])
     assert found["full.csv"] == pytest.approx(found["run.nc"], abs=1e-5)
     assert (found["sparse.csv"] <= found["run.nc"] + 1e-5).all()
+    absolute = np.column_stack((table[:, 0], 273.15 + warm, np.full(60, 294.65), moved))
+    names = ",".join(head).replace("_degC", "_K")
+    np.savetxt(tmp_path / "kelvin.csv", absolute, "%.9g", ",", header=names, comments="")
+    told = command("validate", tmp_path / "model.h5", tmp_path / "kelvin.csv")
+    assert "warning: kelvin: T1_K = 294.65 is implausible" in told
     picture = tmp_path / "truth.png"
     command("validate", tmp_path / "model.h5", tmp_path / "sparse.csv", "--out", picture)
     assert picture.stat().st_size > 1000
@@ -819,3 +824,4 @@ def test_calibrating_without_a_machine_is_refused(tmp_path, response):
 def command(*words):
     result = CliRunner().invoke(app, [str(word) for word in words], catch_exceptions=False)
     assert result.exit_code == 0
+    return result.output

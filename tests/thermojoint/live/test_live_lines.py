@@ -112,7 +112,10 @@ def test_what_is_kept_of_a_machine_without_a_line_is_as_before(place):
     plain = opened(place, offsets=OFFSETS.partition("[axes.X.slope]")[0])
     assert not {"slopes_um_per_m", "P0_mm"} & {*as_json(initial_state("mill", plain, START).latest)}
     layout = opened(place).layout
-    assert layout_from(layout_text(layout)) == layout
+    text = layout_text(layout)
+    assert layout_from(text) == layout
+    # An update of the program alone begins no new era.
+    assert json.loads(text)["details"] == [[name, unit] for name, unit, _ in layout.details]
 
 
 @pytest.mark.parametrize("more", ["", "reference_mm = 200.0\n", "reference_mm = -50.0\n"])
