@@ -40,7 +40,7 @@ coverage: $(INSTALLED)
 
 # What is computed, as other processors compute it: without vector instructions and with the other
 # direct solver; with those of AVX2, MKL's most compatible under PARDISO; and with two threads where
-# matrices are large (elsewhere they only wait for each other). Long tests among them, too.
+# matrices are large (elsewhere they only wait for each other). Long tests are run the first way alone.
 NUMERICAL := tests/fesim/solid tests/fesim/joint tests/fesim/march tests/calibrate tests/estimator/fchs \
 	tests/thermojoint/models tests/thermojoint/verification
 THREADED := $(patsubst %,tests/fesim/solid/test_%.py,condensation elasticity heat linear_solver) \
@@ -60,7 +60,7 @@ portable-plain: $(INSTALLED)
 	$(PLAIN) $(BIN)/python -m pytest $(SHARED) $(NUMERICAL)
 
 portable-avx2: $(INSTALLED)
-	$(AVX2) $(BIN)/python -m pytest $(SHARED) $(NUMERICAL)
+	$(AVX2) $(BIN)/python -m pytest $(SHARED) -m 'not long' $(NUMERICAL)
 
 portable-threads: $(INSTALLED)
 	$(PLAIN) OMP_NUM_THREADS=2 $(BIN)/python -m pytest $(THREADED)
