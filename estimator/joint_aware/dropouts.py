@@ -61,7 +61,8 @@ def with_gain(
     With K_s the steady gain, K_s + D that of the present readings at the steady covariance, and the
     gain K = K_s + D + M, a sample turns P into (1 - K H) P (1 - K H)^T + D S D^T + M S' M^T. S is
     the covariance of the innovations, and S' has the lasting errors that `filter_design.correct`
-    adds to it.
+    adds to it. There are few readings, and the product is P - K W^T - W K^T with
+    W = P H^T - K H P H^T / 2.
 
     Parameters
     ----------
@@ -77,19 +78,23 @@ def with_gain(
     system, own = observer.system, observer.model.filter
     spread = own.innovation + np.diag(own.noise)
     doubted = spread + observer.thresholds.doubt_of_heat**2 * np.diag(own.lasting)
-    beyond, left = without - observer.steady_gain, np.eye(system.size)
-    left -= (without + more) @ system.rows
+    beyond, gain, rows = without - observer.steady_gain, without + more, system.rows
     noise = beyond @ spread @ beyond.T + more @ doubted @ more.T
     while True:
-        covariance = left @ covariance @ left.T + noise
+        seen = rows @ covariance
+        taken = gain @ (seen - 0.5 * (seen @ rows.T) @ gain.T)
+        covariance = covariance - (taken + taken.T) + noise
         yield covariance
         covariance = onward(observer, covariance)
 
 
 def onward(observer: Observer, covariance: Array) -> Array:
     """Return the covariance (n, n) beyond the steady one before the next sample."""
-    advance = observer.system.advance
-    return advance(advance(covariance).T)
+    system, size = observer.system, observer.system.decay.size
+    advanced = system.advance(covariance)
+    advanced[:, :size] *= system.decay
+    advanced[:, :size] += advanced[:, size:] @ system.drive.T
+    return advanced
 
 
 def factor_of(covariance: Array) -> Array:

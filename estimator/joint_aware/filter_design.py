@@ -71,10 +71,10 @@ class LinearSystem:
     def advance(self, columns: Array) -> Array:
         """F times columns, shape (n, k)."""
         dynamic = self.decay.size
-        advanced = columns.copy()
-        advanced[:dynamic] = (
-            self.decay[:, None] * columns[:dynamic] + self.drive @ columns[dynamic:]
-        )
+        advanced = np.empty(columns.shape)
+        np.multiply(self.decay[:, None], columns[:dynamic], out=advanced[:dynamic])
+        advanced[:dynamic] += self.drive @ columns[dynamic:]
+        advanced[dynamic:] = columns[dynamic:]
         return advanced
 
     @property
