@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -109,3 +109,15 @@ def say(records: Sequence[Record]) -> None:
 
     for line in described(records):
         console.say(line)
+
+
+def spikes_in(log: Log, judged: Collection[str]) -> dict[str, int]:
+    """Return the number of spikes of each judged column of a log that has some.
+
+    In a log with the positions of an axis, displacements change as it moves, and have none.
+    """
+    from calibrate.learning.thinning import spikes_of
+
+    moving = any(one.is_position for one in log.columns)
+    counts = spikes_of(log, () if moving else judged)[1]
+    return {column: count for column, count in counts.items() if column in judged}

@@ -21,6 +21,7 @@ from thermojoint.cli.log_reading import (
     over,
     renamed_by,
     reported,
+    spikes_in,
 )
 
 if TYPE_CHECKING:
@@ -514,18 +515,11 @@ def _warn_of_units(first: Mapping[str, float], where: str) -> None:
 
 
 def _misread(logs: Mapping[str, Log], judged: Collection[str]) -> list[str]:
-    """Return a warning about each displacement that has spikes in a log.
-
-    In a log with the positions of an axis, displacements change as it moves.
-    """
-    from calibrate.learning.thinning import spikes_of
-
+    """Return a warning about each displacement that has spikes in a log."""
     return [
         f"{name}: {column}: {count} spikes, as of misread displacements; the errors contain them"
         for name, log in logs.items()
-        if not any(one.is_position for one in log.columns)
-        for column, count in spikes_of(log, judged)[1].items()
-        if column in judged
+        for column, count in spikes_in(log, judged).items()
     ]
 
 

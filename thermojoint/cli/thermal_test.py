@@ -10,10 +10,11 @@ import typer
 
 from thermojoint.artefacts.errors import InputError
 from thermojoint.cli import arguments, file_kinds
-from thermojoint.cli.log_reading import ColumnOption, MappingOption, renamed_by, say
+from thermojoint.cli.log_reading import ColumnOption, MappingOption, renamed_by, say, spikes_in
 from thermojoint.standards.iso230_3.protocol import Protocol
 
 if TYPE_CHECKING:
+    from thermojoint.artefacts.log import Log
     from thermojoint.artefacts.log_record import Record as LogRecord
     from thermojoint.standards.iso230_3.record import Record
 
@@ -104,11 +105,11 @@ def iso230_3(  # noqa: PLR0913 - the options of a command
     renamed = renamed_by(column, mapping)
     channels = _each_once("--displacement", map(_channel, displacement or [])) or None
     with console.working("reading"):
-        record, read = _record(given, renamed, channels, temperature, speed)
+        record, read, misread = _record(given, renamed, channels, temperature, speed)
     facts = []
     if second is not None:
-        beside, more = _record(second, renamed, channels, temperature, speed)
-        read += more
+        beside, more, wrong = _record(second, renamed, channels, temperature, speed)
+        read, misread = read + more, misread + wrong
         record = records.with_second(record, beside)
         facts.append(("second point", second.name))
     if distance is not None:
@@ -126,6 +127,7 @@ def iso230_3(  # noqa: PLR0913 - the options of a command
     content = report.parameters_json(evaluation, given.name)
     arguments.write_json(parameters, content)
     say(read)
+    console.warn(misread)
     period, running = evaluation.period, test is not Protocol.ETVE
     if read and begin is None and running and runs_at_first(record, period):
         paused = f" after a pause, at {period.begin / 60.0:.4g} min" if period.begin else ""
@@ -155,8 +157,8 @@ def _record(
     channels: dict[str, str] | None,
     temperatures: list[str] | None,
     speed: str | None,
-) -> tuple[Record, tuple[LogRecord, ...]]:
-    """Return the record of a test, and the report on its log."""
+) -> tuple[Record, tuple[LogRecord, ...], list[str]]:
+    """Return the record of a test, the report on its log, and warnings of misread values in it."""
     from thermojoint.standards.iso230_3.record import log_record, response_record
 
     if path.suffix == ".nc":
@@ -166,11 +168,27 @@ def _record(
             raise InputError(
                 f"{path}: --column, --mapping and --speed go with a log; leave them out"
             )
-        return response_record(read_response(path), channels, temperatures), ()
+        return response_record(read_response(path), channels, temperatures), (), []
     from thermojoint.artefacts.log_file import read_log
 
     log = read_log([path], renamed)
-    return log_record(log, channels, temperatures, speed), log.records
+    record = log_record(log, channels, temperatures, speed)
+    return record, log.records, _misread(path, log, channels, temperatures)
+
+
+def _misread(
+    path: Path, log: Log, channels: dict[str, str] | None, temperatures: list[str] | None
+) -> list[str]:
+    """Return a warning about each evaluated column that has spikes."""
+    moved = [one.name for one in log.columns if one.is_displacement]
+    evaluated = [*(moved if channels is None else channels.values())]
+    evaluated += log.of("temperature") if temperatures is None else temperatures
+    names = {log.columns[log.index(name)].name for name in evaluated}
+    return [
+        f"{path}: {column}: {count} spikes, as of misread values; the parameters contain them; "
+        "empty these cells"
+        for column, count in spikes_in(log, names).items()
+    ]
 
 
 def _each_once(option: str, given: Iterable[tuple[str, Named]]) -> dict[str, Named]:

@@ -370,6 +370,18 @@ def test_a_pause_of_the_log_before_the_first_motion_is_no_part_of_the_run(comman
     assert values["d(front)60"]["value"] == pytest.approx(grown, rel=1e-4)
 
 
+def test_misread_values_are_warned_of(command, log, tmp_path):
+    """One of -999 um, as of a probe without signal, made d(front)t 1100 instead of 98 um."""
+    head, *rows = log.read_text().splitlines()
+    cells = rows[400].split(",")
+    cells[2] = "-999"
+    misread, warning = tmp_path / "misread.csv", "1 spikes, as of misread values"
+    misread.write_text("\n".join([head, *rows[:400], ",".join(cells), *rows[401:]]))
+    code, _, errors = command("iso230-3", misread, "--test", "spindle")
+    assert (code, warning in errors) == (0, True)
+    assert warning not in command("iso230-3", log, "--test", "spindle")[2]
+
+
 def test_a_channel_that_was_not_read_for_long_is_warned_of(command, log, tmp_path):
     """Its extreme may lie in that time; here the highest reading is lost, 98 of 100 um."""
     head, *rows = log.read_text().splitlines()
