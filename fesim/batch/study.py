@@ -40,6 +40,9 @@ Keep = Literal["response", "displacement"]
 #: More cases than this in one study are treated as a mistake.
 MOST_CASES = 100_000
 
+#: Largest integer of the tables.
+LARGEST_INTEGER = 2**63 - 1
+
 #: Sections whose histories are read as a check.
 LOADS = {"sources", "heat_input", "ambient", "held_temperatures", "loads", "bolts"}
 
@@ -318,7 +321,9 @@ def brief(values: Values) -> str:
 
 
 def plain(value: Any) -> str | float | int | bool:  # noqa: ANN401 - any TOML value
-    """Return a varied value for a table: sections and lists as JSON."""
+    """Return a varied value for a table: sections and lists as JSON, huge integers as floats."""
+    if isinstance(value, int) and abs(value) > LARGEST_INTEGER:
+        return float(value)
     if isinstance(value, str | float | int | bool):
         return value
     return json.dumps(value, default=str)

@@ -16,6 +16,7 @@ from fesim.batch.study import (
     StudyFile,
     combinations,
     latin_hypercube,
+    plain,
     read_study,
 )
 from fesim.batch.worker import Outcome, Task
@@ -508,3 +509,9 @@ def test_a_worker_joins_another_only_if_that_is_quicker_than_its_set_up():
     assert queue.next_for("w1") is None
     assert all(queue.next_for("w0") for _ in range(9))
     assert len(queue) == 0
+
+
+def test_a_huge_integer_is_a_float_in_the_tables():
+    """No table has integers beyond 64 bits: they ended a batch in a traceback after its cases."""
+    assert (plain(10**23), plain(2**63 - 1), plain(True)) == (1e23, 2**63 - 1, True)
+    assert isinstance(plain(10**23), float)
