@@ -358,7 +358,8 @@ def test_a_displacement_along_an_axis_has_a_slope_in_every_table(command, tmp_pa
             there = last["x_um"] + 1e-3 * lever * last["x_slope_um_per_m"]
             assert last["x_here_um"] == pytest.approx(there, abs=1e-3)
     line = '[axes.X]\nfollows = "x"\n[axes.X.slope]\nresolution_um_per_m = 1.0\n'
-    (tmp_path / "line.toml").write_text(f"oldest_s = 120.0\nwidest_band_um = 100.0\n{line}")
+    limits = "cycle_s = 10.0\noldest_s = 120.0\nwidest_band_um = 100.0\n"
+    (tmp_path / "line.toml").write_text(limits + line)
     code, told = command("compensate", "e.csv", "--settings", "line.toml", "--out", "line.csv")
     assert code == 0, told
     sent = list(csv.DictReader((tmp_path / "line.csv").open()))[-1]
