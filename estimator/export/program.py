@@ -231,6 +231,7 @@ class Program:
             "statuses": [(status.name, status.value) for status in interface.statuses],
             "refused": REFUSED,
             "common": COMMON,
+            "unsettled_bit": Status.UNSETTLED.value,
             "version": self.version,
             "precision": self.precision,
             "constants": self.constants,
