@@ -124,6 +124,7 @@ def observer_from_rest(
         loads=machine.load_names,
         sensors=machine.sensor_names,
         places={name: at for name, at in machine.places.items() if name in machine.sensor_names},
+        displacement_of=machine.displacement_of,
         axes=machine.axes,
         sources=machine.source_names,
         calibrated=calibrated,

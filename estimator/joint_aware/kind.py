@@ -115,6 +115,13 @@ def _response(model: ObserverModel, response: xr.Dataset) -> Iterator[tuple[floa
             "model; read the thermometers that the model was calibrated with",
             stacklevel=2,
         )
+    points = response.attrs.get("displacement_of", model.displacement_of)
+    if model.displacement_of and points != model.displacement_of:
+        warnings.warn(
+            f"joint-aware: displacement of the response is that of {points}, and the model "
+            f"estimates that of {model.displacement_of}; compare the same points",
+            stacklevel=2,
+        )
     axes = [axis.name for axis in model.moving_axes]
     counted = [axes[k] for k in model.counted]
     return samples_in(response, model.sensors, model.loads, axes, model.power_shares, counted)

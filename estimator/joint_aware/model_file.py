@@ -220,6 +220,7 @@ def _header(model: ObserverModel) -> str:
             "power_shares": dict(model.power_shares),
             # States of earlier models keep their fingerprint.
             **({"places_m": dict(model.places)} if model.places else {}),
+            **({"displacement_of": model.displacement_of} if model.displacement_of else {}),
         },
         allow_nan=False,
     )
@@ -286,6 +287,7 @@ def _model(header: dict[str, Any], arrays: Mapping[str, Array]) -> ObserverModel
         ),
         power_shares=header.get("power_shares", {}),
         places={name: tuple(at) for name, at in header.get("places_m", {}).items()},
+        displacement_of=header.get("displacement_of", ""),
     )
 
 

@@ -153,6 +153,8 @@ class ObserverModel(Described):
         Source whose power is read to the share of that power which becomes its heat.
     places : mapping of str to (float, float, float)
         Sensor to its position, m; without held surfaces, and empty in models of earlier versions.
+    displacement_of : str
+        The displaced and the reference point; empty in models of earlier versions.
     """
 
     modes: Modes
@@ -177,6 +179,7 @@ class ObserverModel(Described):
     moving_axes: tuple[MovingAxis, ...] = ()
     power_shares: Mapping[str, float] = field(default_factory=dict)
     places: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    displacement_of: str = ""
 
     def _facts(self) -> dict[str, str]:
         return {

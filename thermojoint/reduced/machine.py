@@ -29,7 +29,7 @@ from fesim.setup.faces import with_faces
 from fesim.setup.laws import as_walled, initial_opening, joint_conductivity, law_of, table_of
 from fesim.setup.loads import heat_sources, march_inputs, source_power
 from fesim.setup.machine import Setup
-from fesim.setup.structure import body_materials
+from fesim.setup.structure import body_materials, displacement_of
 from fesim.solid.bolts import BoltSprings
 from fesim.solid.condensation import ElasticCondensation, LoadInfluence
 from fesim.solid.elasticity import DIRECTIONS
@@ -194,6 +194,8 @@ class ReducedMachine:
     guide: Guide | None = None
     #: Sensor that is a probe to its position, m.
     places: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    #: The displaced and the reference point.
+    displacement_of: str = ""
 
     @property
     def free(self) -> int:
@@ -386,6 +388,7 @@ def reduce_machine(
         held=held,
         guide=guide,
         places={name: tuple(map(float, probe.position)) for name, probe in thermometers.items()},
+        displacement_of=displacement_of(case),
     )
 
 

@@ -357,6 +357,12 @@ def test_a_response_whose_thermometer_is_elsewhere_is_said(estimator, response, 
         list(KIND.response(model, moved))
 
 
+def test_a_response_whose_displacement_is_that_of_other_points_is_said(estimator, response):
+    other = response.assign_attrs(displacement_of="B relative to A")
+    with pytest.warns(UserWarning, match="that of B relative to A, and .* that of A relative to B"):
+        list(KIND.response(estimator.model, other))
+
+
 def test_what_estimate_writes_is_what_compensate_reads(estimator, tmp_path):
     write_observer(estimator.model, tmp_path / "model.h5")
     assert_compensate_reads_what_is_written(tmp_path / "model.h5", tmp_path, "joint-aware")
