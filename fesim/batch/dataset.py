@@ -26,6 +26,7 @@ from fesim.forces import COMPONENT_NAMES, ORDER_NAMES
 from fesim.setup.loads import source_names
 from fesim.setup.outputs import support_names
 from thermojoint.artefacts.errors import InputError
+from thermojoint.artefacts.folders import replace_folder
 from thermojoint.artefacts.response import VARIABLES
 
 if TYPE_CHECKING:
@@ -65,19 +66,18 @@ def open_dataset(path: Path, study: Study) -> Dataset:
     labels = dimension_labels(study)
     layout = _layout_digest(study, labels)
     row = {case.id: number for number, case in enumerate(study.cases)}
-    if (path / ".zgroup").is_file():
-        group = zarr.open_group(path, mode="r+", zarr_format=2)
-        if group.attrs.get("layout") == layout:
-            return Dataset(dict(group.arrays()), row, labels)
-    kept = _displacements(path, row) if study.keep == "displacement" else {}
-    group = _lay_out(path, study, labels)
-    dataset = Dataset(dict(group.arrays()), row, labels)
-    for case, (times, moved) in kept.items():
-        _write(dataset, case, "displacement", {"time": times, "axis": labels["axis"]}, moved)
-    # Written last: a store without it is incomplete and is created again.
-    group.attrs["layout"] = layout
-    zarr.consolidate_metadata(path, zarr_format=2)
-    return dataset
+    if _layout_in(path) != layout:
+        kept = _displacements(path, row) if study.keep == "displacement" else {}
+        new = path.with_name(f".{path.name}.new")
+        group = _lay_out(new, study, labels)
+        dataset = Dataset(dict(group.arrays()), row, labels)
+        for case, (times, moved) in kept.items():
+            _write(dataset, case, "displacement", {"time": times, "axis": labels["axis"]}, moved)
+        group.attrs["layout"] = layout
+        zarr.consolidate_metadata(new, zarr_format=2)
+        replace_folder(path, new)
+    group = zarr.open_group(path, mode="r+", zarr_format=2)
+    return Dataset(dict(group.arrays()), row, labels)
 
 
 def dimension_labels(study: Study) -> dict[str, Labels]:
@@ -198,14 +198,18 @@ def _layout_digest(study: Study, labels: dict[str, Labels]) -> str:
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
 
+def _layout_in(path: Path) -> object:
+    """Return the digest of the layout of a dataset; None without one, or an incomplete one."""
+    if not (path / ".zgroup").is_file():
+        return None
+    return zarr.open_group(path, mode="r", zarr_format=2).attrs.get("layout")
+
+
 def _displacements(path: Path, cases: Iterable[str]) -> dict[str, tuple[Labels, Labels]]:
     """Return times and displacements of some cases in a complete dataset, by case id."""
-    if not (path / ".zgroup").is_file():
+    if _layout_in(path) is None:
         return {}
-    group = zarr.open_group(path, mode="r", zarr_format=2)
-    if "layout" not in group.attrs:
-        return {}
-    arrays = dict(group.arrays())
+    arrays = dict(zarr.open_group(path, mode="r", zarr_format=2).arrays())
     row = {str(case): at for at, case in enumerate(np.asarray(arrays["case"][...]))}
     times, found = np.asarray(arrays["time"][...]), {}
     for case in row.keys() & set(cases):

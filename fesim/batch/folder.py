@@ -16,6 +16,7 @@ from contextlib import contextmanager
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
+from shutil import rmtree
 from typing import Any
 
 import pandas as pd
@@ -39,7 +40,8 @@ _UNFINISHED = (
     "dataset.zarr/*.partial",
     "dataset.zarr/*/*.partial",
 )
-
+#: A dataset that had not replaced the one of another study, or the one that was replaced.
+_UNFINISHED_DATASETS = (".dataset.zarr.new", ".dataset.zarr.new.old")
 
 #: Files that a batch rewrites. The lock is created before any of them.
 _REPLACED = ("dataset.zarr", "summary.csv", "summary.parquet")
@@ -83,6 +85,8 @@ def _remove_unfinished(folder: Path) -> None:
     for pattern in _UNFINISHED:
         for left in folder.glob(pattern):
             left.unlink()
+    for name in _UNFINISHED_DATASETS:
+        rmtree(folder / name, ignore_errors=True)
 
 
 def response_path(folder: Path, case: str) -> Path:

@@ -149,7 +149,7 @@ def _put_in_place(path: Path, place: Path, work: Path) -> None:
         if place.exists():
             _carry_over(place, new)
             shutil.copymode(place, new)
-            _swap(place, work)
+            _swap(place, new, work / "old")
         else:
             new.rename(place)
     except OSError as error:
@@ -182,12 +182,24 @@ def _carry_over(old: Path, new: Path) -> None:
             (new / Path(above).relative_to(old)).mkdir(parents=True, exist_ok=True)
 
 
-def _swap(place: Path, work: Path) -> None:
+def replace_folder(place: Path, new: Path) -> None:
+    """Put a complete folder in the place of another, if there is one, which is deleted."""
+    if not place.exists():
+        new.rename(place)
+        return
+    old = new.with_name(f"{new.name}.old")
+    _swap(place, new, old)
+    for left in (new, old):
+        shutil.rmtree(left, ignore_errors=True)
+
+
+def _swap(place: Path, new: Path, old: Path) -> None:
+    """Exchange a folder for a new one; `old` is its name where that takes two steps."""
     try:
-        _exchange(place, work / "new")
+        _exchange(place, new)
     except OSError:  # other systems and file systems: for a moment there is no folder
-        place.rename(work / "old")
-        (work / "new").rename(place)
+        place.rename(old)
+        new.rename(place)
 
 
 def _exchange(old: Path, new: Path) -> None:

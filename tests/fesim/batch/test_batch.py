@@ -461,12 +461,22 @@ def test_a_changed_study_finds_the_cases_it_has_in_common_with_the_old_one(tmp_p
     assert data["displacement"].sel(time=slice(0, 60)).notnull().all()
 
 
-def test_a_grown_study_of_displacements_runs_only_what_is_new(tmp_path):
+def test_a_grown_study_of_displacements_runs_only_what_is_new(tmp_path, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
     whole, out = replace(study_in(tmp_path, levels(4), 1.0), keep="displacement"), tmp_path / "out"
     run_batch(replace(whole, cases=whole.cases[1:3]), out, here())
     before = opened(out)["displacement"].load()
+    with monkeypatch.context() as killed:
+        # As the displacements are about to be carried over: they exist nowhere else.
+        killed.setattr("fesim.batch.dataset._write", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            run_batch(whole, out, nobody)
+    xr.testing.assert_identical(opened(out)["displacement"], before)
     end = run_batch(whole, out, here())
     assert (end.found, end.ran) == (2, 2)
+    assert not list(out.glob(".dataset*"))
     after = opened(out)["displacement"]
     assert after.notnull().all()
     np.testing.assert_array_equal(after.sel(case=before["case"]), before)

@@ -190,7 +190,7 @@ def test_a_run_that_still_lasts_is_left_alone(tmp_path):
 
 
 def test_results_that_cannot_be_put_in_place_are_kept_elsewhere(tmp_path, monkeypatch):
-    def refuse(place, work):
+    def refuse(*folders):
         raise OSError(18, "Invalid cross-device link")
 
     out = tmp_path / "results"
