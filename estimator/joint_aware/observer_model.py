@@ -133,7 +133,7 @@ class ObserverModel(Described):
     power : ndarray, shape (s,)
         Heat of each source at heat input 1 according to the case, W.
     step : float
-        Longest step, s; that of the filter.
+        Step of the filter, s; a longer interval of samples is divided (`sample_processing`).
     offset : ndarray, shape (p,)
         Offset of every sensor, K.
     first : ndarray, shape (h,)

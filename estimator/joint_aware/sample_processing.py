@@ -32,6 +32,9 @@ from thermojoint.artefacts.errors import InputError
 #: Longest gap that counts, s. Heat of before a week has no effect any more; the steps of a longer
 #: gap would be so long that heat of its last hours was overlooked.
 _LONGEST_GAP_S = 604_800.0
+#: Parts of a step by which an interval may exceed whole steps before it is divided into one more,
+#: and within which it counts as one step: clocks of loggers jitter.
+_LONGER, _SAME = 0.25, 1e-3
 
 
 class Processed(NamedTuple):
@@ -109,11 +112,10 @@ def moment_of(observer: Observer, last: float, time: float) -> Moment:
         raise InputError(
             f"time {time:.15g} s does not come after {last:.15g} s; drop or re-order the sample"
         )
-    # An interval of one step, up to rounding, is one step.
     elapsed = min(time - last, _LONGEST_GAP_S)
-    steps = min(max(1, math.ceil(elapsed / step - 1e-6)), thresholds.most_steps)
+    steps = min(max(1, math.ceil(elapsed / step - _LONGER)), thresholds.most_steps)
     length = elapsed / steps
-    near = abs(length - step) <= 1e-6 * step
+    near = abs(length - step) <= _SAME * step
     return Moment(time, step if near else length, steps)
 
 

@@ -241,6 +241,18 @@ def test_samples_that_are_always_late_are_settled(estimator, response):
     assert all(Status.UNSETTLED in one.status for one in warm[:20])
 
 
+@pytest.mark.parametrize("jitter", [1e-6, 1e-3, 0.2])
+def test_a_clock_that_jitters_leaves_the_machine_settled(estimator, response, jitter):
+    """By 1 ms at steps of 2 s one sample in nine was unsettled, and offsets froze."""
+    samples, random = list(samples_in(response, SENSORS)), np.random.default_rng(1)
+    late = random.uniform(0.0, jitter, len(samples))
+    rows = [(row[0] + by, *row[1:]) for row, by in zip(samples, late, strict=True)]
+    (_, usual), (_, found) = (estimates(estimator, given) for given in (samples, rows))
+    assert [one.status for one in found] == [one.status for one in usual]
+    moved = np.array([[one.displacement for one in each] for each in (found, usual)])
+    assert np.abs(np.diff(moved, axis=0)).max() < 0.2 * MICRO
+
+
 @pytest.mark.parametrize("missing", [1, 5, 60])
 def test_a_gap_is_unsettled_while_it_makes_the_band_wider_by_more_than_41_percent(
     response, estimator, missing
