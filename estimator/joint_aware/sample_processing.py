@@ -32,9 +32,9 @@ from thermojoint.artefacts.errors import InputError
 #: Longest gap that counts, s. Heat of before a week has no effect any more; the steps of a longer
 #: gap would be so long that heat of its last hours was overlooked.
 _LONGEST_GAP_S = 604_800.0
-#: Parts of a step by which an interval may exceed whole steps before it is divided into one more,
-#: and within which it counts as one step: clocks of loggers jitter.
-_LONGER, _SAME = 0.25, 1e-3
+#: Clocks of loggers jitter: an interval may exceed whole steps by this part of a step before it is
+#: divided into one more, and one that differs from a step by less than `SAME` of it counts as one.
+_LONGER, SAME = 0.25, 1e-3
 
 
 class Processed(NamedTuple):
@@ -115,7 +115,7 @@ def moment_of(observer: Observer, last: float, time: float) -> Moment:
     elapsed = min(time - last, _LONGEST_GAP_S)
     steps = min(max(1, math.ceil(elapsed / step - _LONGER)), thresholds.most_steps)
     length = elapsed / steps
-    near = abs(length - step) <= _SAME * step
+    near = abs(length - step) <= SAME * step
     return Moment(time, step if near else length, steps)
 
 

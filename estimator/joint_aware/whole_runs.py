@@ -13,7 +13,7 @@ from estimator.joint_aware.displacement_readings import mean_of
 from estimator.joint_aware.observer_state import unpacked
 from estimator.joint_aware.precomputed import Precomputed
 from estimator.joint_aware.sample_estimate import estimate_of
-from estimator.joint_aware.sample_processing import Processed, process, results_of
+from estimator.joint_aware.sample_processing import SAME, Processed, process, results_of
 from estimator.joint_aware.sample_values import SampleValues, split_sample
 from thermojoint.artefacts.arrays import Array
 
@@ -83,7 +83,7 @@ def _readings_of(data: Precomputed, samples: Array, state: Array) -> Array | Non
     told = mean_of(unpacked(state, data.layout).model_error).any()
     if told or samples.shape[1] != 1 + thermal:
         return None
-    if (np.abs(np.diff(samples[:, 0]) - model.step) > 1e-6 * model.step).any():
+    if (np.abs(np.diff(samples[:, 0]) - model.step) > SAME * model.step).any():
         return None
     return np.asarray(samples[:, 1:] - np.append(model.offset, 0.0))
 
