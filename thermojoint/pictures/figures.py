@@ -117,7 +117,8 @@ def joints_of(response: xr.Dataset) -> list[str]:
 def places_along(position: Array, joints: Sequence[str]) -> NDArray[np.int64]:
     """Number the contact elements by their place along their joint, from 0, joint after joint.
 
-    `position` has shape (elements, 3), m; `joints` names the joint of every element.
+    That is along the joint's largest extent. `position` has shape (elements, 3), m; `joints` names
+    the joint of every element.
     """
     places, count = np.zeros(len(position), dtype=np.int64), 0
     for joint in dict.fromkeys(joints):
@@ -165,6 +166,9 @@ def estimates_figure(
     times: Array, errors: Mapping[str, Array], axes: Sequence[str], case: str
 ) -> Figure:
     """Actual and estimated displacement of each axis, and the errors below on their own scale.
+
+    FCHS, the joint-aware estimator, and the best of the others are drawn; more curves would hide
+    each other.
 
     `times` has shape (k,), s. `errors` maps each estimator to estimated minus actual displacement,
     m, shape (k, axes). The actual displacement follows from ``none``, which always estimates zero.

@@ -116,6 +116,7 @@ def moving_scenes(case: Case, report: Report, count: int, up: Vector) -> list[Sc
     setup, step_s = ready.setup, case.march.step_s
     mirror = mirror_of(setup.structure, case.supports.symmetry)
     stage = make_stage(setup, up, mirror)
+    camera = stage.camera
     carried = carried_nodes(case, setup.structure, stage.nodes)
     shown = np.array([MILLI * axis.mesh_position_mm for axis in case.axes.values()])
     times = np.linspace(0.0, step_count(case.march) * step_s, count)[1:]
@@ -130,9 +131,7 @@ def moving_scenes(case: Case, report: Report, count: int, up: Vector) -> list[Sc
         way = np.array(place_of(ready.axes, time)) - shown
         points = stage.skin.points + np.einsum("a,anj->nj", way, carried)
         skin = Surface(points, stage.skin.faces, values=setup.nodal_temperature(step.state)[own])
-        panel = Panel(
-            "temperature", whole((skin,), mirror), stage.camera, shows="temperature rise (K)"
-        )
+        panel = Panel("temperature", whole((skin,), mirror), camera, shows="temperature rise (K)")
         moments.append((time, panel))
 
     keep(at_rest(setup.machine, axis_inputs(case).at(np.zeros(1))[0]))
